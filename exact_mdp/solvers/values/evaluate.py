@@ -200,8 +200,7 @@ class Evaluation(OfPolicy, Pictured):
             ):
                 if often.any():
                     # Amounts of both signs in different ends: the total has no limit.
-                    apart = ends.min(initial=0) < 0 < ends.max(initial=0)
-                    if apart:
+                    if (ends < 0).any() and (ends > 0).any():
                         numbers[name] = UNKNOWN
                     else:
                         numbers[name] = self._evaluate_component(name)
@@ -288,7 +287,7 @@ class Evaluation(OfPolicy, Pictured):
             return within
         away = self.value - self.mean
         off = self.error + self.start.error + 2 * TINY + 2 * UNIT * np.abs(away)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore"):
             square = BoundedVector(
                 value=away**2, error=(2 * np.abs(away) + off) * off + UNIT * away**2
             )

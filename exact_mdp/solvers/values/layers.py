@@ -86,5 +86,5 @@ def find_taken_pairs(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
     pair = mdp.by_action(np.arange(mdp.n_pairs), -1).astype(np.int64)
     chosen = pair[np.arange(mdp.n_states)[:, None], policies[:, key].T]
     # In a state with a single action the policy has no effect.
-    alone = mdp.forced[:, None] | (chosen < 0)
+    alone = mdp.forced[:, None] | (chosen == -1)
     return np.where(alone, mdp.pair_offsets[:-1][:, None], chosen)

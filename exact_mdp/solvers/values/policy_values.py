@@ -40,28 +40,24 @@ def find_policy_values(given: PolicyChain) -> PolicyValues:
 
     Raises ModelError and SolverError as `evaluate` does.
     """
-    chain, mdp = given, given.mdp
     # At discount 1, make classes without rewards terminal. If a run may earn forever, there is
     # nothing to add up: the mean is the optimum of the model that has no other actions.
-    if mdp.discount_exact == 1 and not chain.reaches_goal_from_start:
-        lost: object = True
-        with suppress(ModelError):  # the return may have no limit while the mean return has one
-            chain, lost = split_infinite_returns(given)
-        if lost:
-            alone = solve(given.model)
-            return PolicyValues(
-                chain=given, value=alone.value, error=alone.state_error, settled=False
-            )
-        mdp = chain.mdp
+    chain = given
+    lost: object = True
+    with suppress(ModelError):  # the return may have no limit while the mean return has one
+        chain, lost = split_infinite_returns(given)
+    if lost:
+        alone = solve(given.model)
+        return PolicyValues(chain=given, value=alone.value, error=alone.state_error, settled=False)
+    mdp = chain.mdp
     # V = r + γ P V has one solution in states that end surely, and everywhere below discount 1.
     if mdp.discount_exact == 1:
         known = chain.reaches_goal
     else:
-        known = np.ones(mdp.n_states, dtype=bool)
-    live = known & ~mdp.terminal
+        known = np.ones_like(mdp.terminal)
     reward, error = chain.reward
     point = _evaluate_closely(
-        chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK
+        chain, np.where(known, reward, 0.0), np.where(known, error, 0.0) * SLACK
     )
     value, bound = np.where(known, point.value, np.nan), np.where(known, point.error, np.inf)
     # The other states lie off the policy's way from the start; a solver may know their values.

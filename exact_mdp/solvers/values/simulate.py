@@ -211,7 +211,7 @@ def simulate(
     chain, infinite = split_infinite_returns(PolicyChain.of(given, policy, kind=kind))
     mdp = chain.mdp
     # Below discount 1, find the number of steps after which an episode may be cut off.
-    size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
+    size = float(np.abs(chain.gain[chain.reached[chain.source]]).max())
     missing = float(1 - mdp.discount_exact)
     limit = horizon
     if limit is None and missing:

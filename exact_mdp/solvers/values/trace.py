@@ -114,11 +114,12 @@ def cohort_trace(
     for step in range(count + 1):
         if step:
             at = onward @ at + np.where(over, at, 0.0)
-        rows.append(np.bincount(own, weights=at, minlength=space.size))
-    # A step multiplies and adds at most as many numbers as arrive in a state; the sums are at most
-    # 1, so each step adds γ to the error of every share, and so does the sum over times.
-    terms = int(np.diff(onward.indptr).max(initial=0)) + chain.roundings + 4
-    error = (count + 1) * gamma(terms) + gamma(count + 2)
+        rows.append(np.bincount(own, weights=at))
+    # A step adds up at most as many products as outcomes arrive in a state, and those who have come
+    # there before; the sums are at most 1, so each step adds γ to the error of every share. The
+    # start is rounded once, and a state's share is a sum over all times.
+    terms = int(np.diff(onward.indptr).max()) + chain.roundings + 1
+    error = count * gamma(terms) + gamma(count + 1)
     return Trace(
         states=tuple(map(space.plain_label, range(space.size))),
         share=np.array(rows),

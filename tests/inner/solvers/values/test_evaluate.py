@@ -23,8 +23,6 @@ from small_models import (
 from exact_mdp import MDP, ModelError, SolverError, evaluate, solve
 from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.claims import Bounded, Status
-from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
-from exact_mdp.solvers.values import policy_values as module
 from exact_mdp.solvers.values.evaluate import Evaluation
 from exact_mdp.solvers.values.policy_chain import PolicyEquations
 
@@ -194,6 +192,16 @@ def test_errors_of_events_count_roundings() -> None:
         assert number.error == pytest.approx(12 * 2.0**-53 * p / 9, rel=1e-5, abs=0)
 
 
+def test_an_event_has_a_probability_of_at_most_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    def rounded_up(*_: Any) -> BoundedVector:
+        return BoundedVector(value=np.array([1 + 2.0**-52, 0]), error=np.full(2, 2.0**-50))
+
+    mdp = with_events(MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]), 0)
+    law = evaluate(mdp, "random")
+    monkeypatch.setattr(PolicyEquations, "solve", rounded_up)
+    assert {*law.event_probability.values()} == {1}
+
+
 def test_quantiles_are_those_of_every_run() -> None:
     for mdp, chances, law in cases(F(1), falling=True):
         runs, total, wanted = law_of_return(mdp, chances), F(0), dict[float, F]()
@@ -321,6 +329,20 @@ def test_starts_that_gain_and_lose_for_ever_have_no_mean() -> None:
         _ = evaluate(mdp, "random").mean
 
 
+def test_components_of_runs_that_go_on_are_those_of_exact_chances() -> None:
+    """Of the floats next to 3/10 and 7/10, seven of the one are not three of the other."""
+    assert F(0.3) * 7 != F(0.7) * 3
+    rows: Any = [
+        (0, 0, [(F(1), 1, {"cancels": 1, "b": 0})]),
+        (1, 0, [(F(1), 1, {"cancels": 7, "b": -6})]),
+        (1, 1, [(F(1), 1, {"cancels": -3, "b": 4})]),
+    ]
+    policy = {0: 0, 1: {0: F(3, 10), 1: F(7, 10)}}
+    law = evaluate(MDP.from_outcomes(rows), policy)
+    assert law.mean == inf
+    assert law.components == {"cancels": 1, "b": inf}
+
+
 def test_rewards_that_cancel_for_ever_have_a_mean() -> None:
     """1, -1, 1, -1, … is worth 1/2 in the limit of discounts, and -1/2 a step later."""
     rows: Any = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1)])]
@@ -331,30 +353,6 @@ def test_rewards_that_cancel_for_ever_have_a_mean() -> None:
 
 
 # ---- floats and their limits ---------------------------------------------------------------------
-
-
-def test_next_to_discount_1_values_are_improved_in_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    used = list[MDP]()
-
-    class Counting(ModifiedPolicyIteration):
-        def solve(self, model: MDP) -> Any:
-            used.append(model)
-            return super().solve(model)
-
-    monkeypatch.setattr(module, "ModifiedPolicyIteration", Counting)
-    for discount, rounds in ((F(1), 0), (F(99, 100), 0), (1 - F(1, 10**9), 1)):
-        for mdp, chances, law in cases(discount, 3):
-            mean = oracle.policy_values(law_of(mdp, chances), discount, ends_of(mdp))
-            for value, error, exact in zip(law.value, law.error, mean, strict=True):
-                holds(Bounded(value=value, error=error), exact, 1e-5)
-            assert len(used) == rounds
-            used.clear()
-    monkeypatch.setattr(module, "COMPILED", 0)  # many transitions: of a pure policy alone
-    for seed, rounds in ((0, 1), (1, 0)):
-        mdp = small_model(seed, 1 - F(1, 10**9))
-        evaluate(mdp, given(random_policy(mdp, seed, pure=seed == 0)))
-        assert len(used) == rounds
-        used.clear()
 
 
 def test_errors_of_rewards_that_cancel_are_in_the_bound() -> None:
@@ -404,6 +402,28 @@ def test_variances_beyond_the_range_of_floats_are_unknown() -> None:
     assert law.variance.max() < inf
     assert isnan(law.numbers["variance"].value)
     assert law.numbers["variance"].error == inf
+
+
+def test_variances_below_the_range_of_floats_are_in_the_bound() -> None:
+    small = F(1, 2**600)
+    rows: Any = [(0, 0, [(F(1, 2), 1, small), (F(1, 2), 1, -small)]), (1, 0, [(1, 1, 0)])]
+    number = evaluate(MDP.from_outcomes(rows), "random").numbers["variance"]
+    assert number.value == 0 < small**2 <= F(number.error)
+
+
+def test_surprises_too_rare_and_too_great_for_floats_are_unknown() -> None:
+    rare = F(1, 10**400)
+    rows: Any = [(0, 0, [(rare, 1, 10**200), (1 - rare, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    law = evaluate(MDP.from_outcomes(rows), "random")
+    assert law.mean == 1
+    assert isnan(law.numbers["variance"].value)
+
+
+def test_components_of_visits_without_a_bound_are_unknown() -> None:
+    rows: Any = [(0, 0, [(1, 1, {"a": 1, "b": 0})]), (1, 0, [(1, 2, {"a": 0, "b": 1})])]
+    law = evaluate(MDP.from_outcomes([*rows, (2, 0, [(1, 2, {"a": 0})])]), "random")
+    vars(law)["_discounted"] = BoundedVector(value=np.ones(3), error=np.array([inf, 0, 0]))
+    assert all(isnan(each) for each in law.components.values())
 
 
 def test_components_beyond_the_range_of_floats_are_unknown() -> None:

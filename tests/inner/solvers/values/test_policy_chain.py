@@ -79,6 +79,19 @@ def test_the_chances_of_pairs_are_those_given() -> None:
             assert chain.exact_weights(state) == exactly
 
 
+def test_roundings_are_those_of_the_state_with_most_pairs() -> None:
+    """Of one with three pairs between states in which the second of two pairs is taken.
+
+    A weight is divided by a sum: n roundings for n pairs. A probability is rounded once, times the
+    weight once more, and n - 1 times as it is added up.
+    """
+    rows: Any = [(s, a, [(1, 3, a)]) for s, count in ((0, 2), (1, 3), (2, 2)) for a in range(count)]
+    mdp = MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])])
+    third = F(1, 3)
+    chain = PolicyChain.of(mdp, {0: {1: 1}, 1: {0: third, 1: third, 2: third}, 2: {1: 1}})
+    assert 2 * 3 + 1 <= chain.roundings <= 2 * 3 + 2
+
+
 def test_floats_that_hardly_sum_to_1_are_divided_by_their_exact_sum() -> None:
     mdp = small_model(3)
     share = np.random.default_rng(0).random(mdp.n_pairs)
@@ -420,6 +433,19 @@ def test_floats_do_without_rationals_where_they_can(monkeypatch: pytest.MonkeyPa
         near(chain.discounted.solve(earned, error), oracle.policy_values(law, F(3, 4), over), 2000)
 
 
+def test_errors_of_arrivals_are_those_of_the_visits_before_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An end is reached by one of 2^24 steps: by as much the visits' error is an arrival's."""
+    monkeypatch.setattr(policy_chain, "is_too_inaccurate", lambda *_: False)
+    rare = F(1, 2**24)
+    rows: Any = [(0, 0, [(rare, 1, 1), (1 - rare, 0, 1)]), (1, 0, [(1, 1, 0)])]
+    visits = PolicyChain.of(MDP.from_outcomes(rows), "random").undiscounted.visits
+    assert abs(F(float(visits.value[0])) - 2**24) <= F(float(visits.error[0]))
+    assert visits.error[0] > 2.0**-8  # in floats
+    assert F(float(visits.error[1])) >= rare * F(float(visits.error[0]))
+
+
 def test_rationals_give_what_floats_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of values and visits, and of the doubt about a constant."""
 
@@ -484,6 +510,35 @@ def test_a_flow_ends_where_no_objective_is_earned_any_more() -> None:
     ]
     of = Objectives(MDP.from_outcomes(rows), ["b"])
     assert flow_of(of, "random").to_numbers() == {0: 1}
+
+
+def test_a_flow_ends_where_a_policy_stays_and_nothing_is_counted() -> None:
+    """Half of all runs come from state 0 to a ring, in which only an event happens."""
+    rows: Any = [
+        (0, 0, [(F(1, 2), 1, -1), (F(1, 2), 3, -1)]),
+        (0, 1, [(1, 4, -1)]),
+        (1, 0, [(1, 2, 0)]),
+        (2, 0, [(1, 1, 0)]),
+        (2, 1, [(1, 3, -3)]),
+        (3, 0, [(1, 3, 0)]),
+        (4, 0, [(1, 4, -1)]),  # loses forever
+        (4, 1, [(1, 3, -1)]),
+    ]
+    mdp = MDP.from_outcomes(rows, labels={"goal": [False, False, False, True, False]})
+    bits = (mdp.table.pair == 2).astype(np.uint8)
+    mdp = mdp.with_(table=replace(mdp.table, event=bits), events=("seen",))
+    leaves, stays, loses = [0, 0, 1, 0, 0], [0, 0, 0, 0, 0], [1, 0, 1, 0, 0]
+    of, until = Objectives(mdp, ["reward"]), Objectives(mdp.negated().until("goal"), ["reward"])
+    assert of.reduced
+    assert until.reduced
+    assert flow_of(of, stays).compute_totals(of) == (-1,)
+    for each in (of, until):
+        assert flow_of(each, leaves).compute_totals(each) == (F(-5, 2),)
+    # To stay in the ring is to miss the goal.
+    for each, policy, place in ((of, loses, 4), (until, loses, 4), (until, stays, 1)):
+        with pytest.raises(ModelError, match="its totals are not finite") as refused:
+            flow_of(each, policy)
+        assert f"state {place}" in str(refused.value)
 
 
 class Earning(OfPolicy):
@@ -582,6 +637,20 @@ def test_rewards_that_cancel_are_told_from_those_that_hardly_do(more: F, sign: f
         assert {s: m.tolist() for s, m in lost.items()} == {sign: [True, True]}
         assert ending.mdp.terminal.all()
         assert ending.chosen is chain.chosen
+
+
+def test_the_sign_of_a_gain_is_sure_beyond_its_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Floats tell it, also where others earn nothing; at its error from 0 a gain may be 0."""
+    rows: Any = [(0, 0, [(F(1, 2), 1, 0), (F(1, 2), 2, 0)]), (1, 0, [(1, 1, 1)])]
+    chain = PolicyChain.of(MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]), "random")
+    with monkeypatch.context() as patch:
+        patch.setattr(policy_chain, "long_run", None)
+        assert split_infinite_returns(chain)[1][inf].tolist() == [False, True, False]
+    point = BoundedVector(value=np.full(2, 2.0**-60), error=np.full(2, 2.0**-60))
+    monkeypatch.setattr(policy_chain.FloatChain, "evaluate_chain", lambda _: (point, point))
+    rows = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1)])]
+    with pytest.raises(ModelError, match="rewards cancel forever"):
+        split_infinite_returns(PolicyChain.of(MDP.from_outcomes(rows), "random"))
 
 
 def test_below_discount_1_nothing_is_parted() -> None:

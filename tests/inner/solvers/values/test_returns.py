@@ -150,6 +150,8 @@ def test_a_cycle_is_a_geometric_series() -> None:
             exact = q ** (int(value) - 1) * (1 - q)
             assert abs(F(float(chance)) - exact) <= F(float(error))
         assert 1 - law.probabilities.sum() <= law.remaining + 1e-15
+        if q == F(1, 2):  # whose powers are floats
+            assert 1 - sum(map(F, law.probabilities.tolist())) <= F(law.remaining)
         with pytest.raises(ModelError, match="are not listed"):
             law.tail_mean(F(law.remaining))
         assert law.tail_mean(F(law.remaining) * F(1001, 1000)) == 1
@@ -206,7 +208,19 @@ def test_a_cdf_compares_exact_numbers() -> None:
     assert long.cdf(F(1, 3**50)) == 0.5
 
 
+def test_errors_count_all_roundings() -> None:
+    """So many roundings n may be as much as n u / (1 - n u) of a number."""
+    for seed in range(6):
+        mdp = small_model(seed, falling=True)
+        chain = PolicyChain.of(mdp, given(random_policy(mdp, seed)))
+        flow = module.MassFlow(chain, module._find_lattice(chain)[0], {}, exact=False)
+        size = flow.carry_mass()[3] * F(UNIT)
+        assert F(return_distribution(mdp, chain).relative_error) >= size / (1 - size)
+
+
 def test_a_spread_beyond_floats_is_infinite() -> None:
+    largest = law_of([1.0, 2.0**-52], [1, 1], F(2**1024 - 2**971))  # chances are rounded
+    assert largest.mean == inf
     assert law_of([0.5, 0.5], [-1, 1], F(10**200)).sd == inf
     law = law_of([0.5, 0.5], np.array([1, inf], dtype=object))
     assert law.mean == inf
@@ -259,6 +273,11 @@ def test_the_table_of_a_report_adds_up_chances() -> None:
         assert report.facts["remaining"].value == law.remaining
         assert report.facts["never_ends"].value == law.never_ends
         assert report.facts["error_bound"].value == law.error.max()
+        assert report.facts["remaining"].text == report.facts["never_ends"].text is None
         assert report.facts["mean"] == law.mean
         assert report.facts["sd"] == law.sd
         assert [*report.facts["exact_distribution"].values()] == [*runs.values()]
+    rows: Any = [(0, 0, [(F(1, 2), 0, 1), (F(1, 4), 1, 1), (F(1, 4), 2, 0)]), (1, 0, [(1, 1, 0)])]
+    law = return_distribution(MDP.from_outcomes([*rows, (2, 0, [(1, 2, 1)])]), "random")
+    for name in ("remaining", "never_ends"):
+        assert law.report().facts[name].text == getattr(law, name) > 0

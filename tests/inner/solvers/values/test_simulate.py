@@ -1,7 +1,8 @@
 """Sampled episodes, beside a loop that draws them one by one from the same uniform numbers."""
 
 from fractions import Fraction as F
-from math import inf, isnan, log, sqrt
+from math import inf, isfinite, isnan, log, sqrt
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,7 @@ def test_episodes_are_those_of_a_loop(discount: F) -> None:
         total, steps, bits, state = looped(mdp, chain, rng.kept, n, limit)
         assert sample.returns == pytest.approx(total, rel=1e-14, abs=1e-14)
         assert sample.steps.tolist() == steps
+        assert sample.steps.dtype == np.int64
         for bit, name in enumerate(("first", "second")):
             assert sample.events[name] == sum(each >> bit & 1 for each in bits) / n
         running = sum(not mdp.terminal[s] for s in state)
@@ -113,7 +115,7 @@ def test_what_follows_a_cut_is_in_the_error() -> None:
         assert sample.truncated == 2
     none = simulate(MDP.from_outcomes(STAYS, 0), [0], 3, rng=0)
     assert none.steps.tolist() == [1, 1, 1]
-    assert none.truncation_error <= 1e-290
+    assert 0 <= none.truncation_error <= 1e-290
 
 
 def test_rewards_that_no_episode_comes_to_are_not_in_the_error() -> None:
@@ -139,6 +141,16 @@ def test_starts_are_drawn_by_their_chances() -> None:
         def random(self, size: Any = None, *_: Any, **__: Any) -> Any:
             return np.full(size, 0.5)
 
+    class First(Last):
+        def random(self, size: Any = None, *_: Any, **__: Any) -> Any:
+            return np.zeros(size)
+
+    # 0 is that of a state's first outcome, and not of the last outcome of the state before.
+    rows = [(s, 0, [(F(1, 2), 4, 2 * s), (F(1, 2), 3, 2 * s + 1)]) for s in range(3)]
+    few = MDP.from_outcomes([*rows, *((s, 0, [(1, s, 0)]) for s in (3, 4))], start=1)
+    assert simulate(few, "random", 1, First(np.random.PCG64(0))).returns.tolist() == [
+        float(few.table.row(1)[0][2])
+    ]
     half = mdp.with_(start={2: "1/2", 7: "1/2"})
     assert simulate(half, "random", 1, Edge(np.random.PCG64(0))).returns.tolist() == [7]
 
@@ -224,6 +236,7 @@ def test_an_estimate_keeps_what_was_cut_off() -> None:
     assert sample.endless == 0
     assert sampled([1.0, 3.0]).sd == pytest.approx(sqrt(2))
     assert sampled([2.0**1023] * 2 + [-(2.0**1023)] * 2).sd == inf
+    assert not isfinite(sampled([2.0**1023] * 4 + [-(2.0**1023)] * 4).sd)  # inf - inf on the way
 
 
 def test_a_report_shows_what_is_not_0() -> None:
@@ -239,11 +252,12 @@ def test_a_report_shows_what_is_not_0() -> None:
         assert facts["truncated"].text == (own.truncated or None)
         assert facts["truncation_error"].text == (own.truncation_error or None)
         assert ("never end" in str(facts["steps"].text)) == endless
-    low, high = sample.value.interval
-    digits = sample.standard_error / 10
-    facts = sample.report().facts
-    assert facts["interval"].text == f"{format_interval(low, high, digits)} (95 %)"
-    assert facts["sd"].text == format_number(sample.sd, digits)
+    for own in (sample, sampled([1.0, 2.0, 4.6])):
+        low, high = own.value.interval
+        digits = own.standard_error / 10
+        facts = own.report().facts
+        assert facts["interval"].text == f"{format_interval(low, high, digits)} (95 %)"
+        assert facts["sd"].text == format_number(own.sd, digits)
 
 
 def test_one_episode_has_no_spread() -> None:
@@ -260,3 +274,27 @@ def test_a_table_is_read_as_it_is_said() -> None:
     mdp, table = MDP.from_outcomes(rows), np.array([[0.25, 0.75], [1, 0]])
     assert {*simulate(mdp, table, 30, rng=0, kind="q").returns.tolist()} == {2}
     assert {*simulate(mdp, table, 30, rng=0, kind="policy").returns.tolist()} == {1, 2}
+
+
+def test_a_bar_is_shown_at_a_terminal_and_only_if_it_takes_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown = list[dict[str, Any]]()
+
+    class Bar:
+        def __init__(self, **how: Any) -> None:
+            shown.append(how)
+
+        def __enter__(self) -> "Bar":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def update(self) -> None:
+            shown.append({})
+
+    monkeypatch.setattr(module, "tqdm", SimpleNamespace(tqdm=Bar))
+    steps = int(simulate(small_model(0), "random", 1, rng=0).steps[0])
+    how = {"desc": "simulating", "unit": "step", "delay": 2, "disable": None}
+    assert shown == [how, *[{}] * steps]

@@ -1,12 +1,14 @@
 """Traces are powers of the chain's matrix, in fractions, within the bound that is stated."""
 
 from fractions import Fraction as F
+from typing import Any
 
 import numpy as np
 import pytest
 from small_models import small_model
 
 from exact_mdp import MDP, ModelError, cohort_trace, evaluate
+from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -58,7 +60,10 @@ def test_ends_are_cumulative_and_visits_are_not() -> None:
     frame = trace.frame()
     assert frame.columns.tolist() == ["time", "ill", "dead"]
     assert frame["time"].tolist() == [0, 1, 2, 3]
-    assert trace.report().facts["error_bound"].value == trace.error
+    report = trace.report()
+    assert report.facts["error_bound"].value == trace.error
+    assert report.facts["steps"] == 3
+    assert (report.tables["trace"].rows.to_numpy() == frame.to_numpy()).all()
 
 
 def test_the_number_of_steps_is_said_once() -> None:
@@ -69,3 +74,28 @@ def test_the_number_of_steps_is_said_once() -> None:
         cohort_trace(mdp.within(2), "random", 2)
     with pytest.raises(ModelError, match="steps"):
         cohort_trace(mdp, "random", 0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_states_without_a_time_keep_their_place_behind_all_others(seed: int) -> None:
+    """To have reached a label is one more state; its share is the probability to reach it."""
+    model = small_model(seed)
+    mdp = model.with_(labels={"there": np.flatnonzero(model.terminal)}).reaching("there")
+    alone, timed = cohort_trace(mdp, "random", steps=4), cohort_trace(mdp.within(4), "random")
+    assert timed.states == alone.states
+    assert timed.share == pytest.approx(alone.share, abs=1e-14)
+    wanted = evaluate(mdp.within(4), "random").mean
+    assert timed.share[-1, -1] == pytest.approx(wanted) != 0
+
+
+def test_the_error_counts_every_rounding() -> None:
+    """Each of two actions in 4 states leads to another state: its share adds up 4 products."""
+    rows: Any = [(s, a, [(F(1, 3), 4, 0), (F(2, 3), s, 1)]) for s in range(4) for a in range(2)]
+    mdp = MDP.from_outcomes([*rows, (4, 0, [(1, 4, 0)])], start=dict.fromkeys(range(4), F(1, 4)))
+    rounded = PolicyChain.of(mdp, "random").roundings  # of a probability
+    assert rounded >= 2 * 2
+    for steps in range(1, 5):
+        # Four products and their sum with those who have come there before; once the start; and
+        # with a time, the sum of a state's shares over the times from 0 on.
+        least = (steps * (rounded + 5) + 1 + steps) * UNIT
+        assert least <= cohort_trace(mdp, "random", steps).error <= least * (1 + 1e-5)
