@@ -48,6 +48,12 @@ def test_costs_are_known_by_their_column() -> None:
         MDP.from_frame(table(REPAIR, "cost"), sense="max")
 
 
+def test_a_cost_beside_another_amount_is_a_component() -> None:
+    """As a health economist writes it: effects and costs, both as they are."""
+    mdp = MDP.from_frame(table([(*row, 2) for row in REPAIR], "qaly", "cost"))
+    assert (mdp.sense, mdp.component_names) == ("max", ("qaly", "cost"))
+
+
 def test_other_columns_are_components() -> None:
     rows = [(*row, 2) for row in REPAIR]
     apart = MDP.from_frame(table(rows, "wear", "time"))
@@ -73,7 +79,10 @@ def test_usual_names_and_numbers(tmp_path: Path) -> None:
         (table(REPAIR, "cost").drop(columns="cost"), "no reward"),
         (table(REPAIR, "cost").drop(columns="probability"), "no column 'probability'"),
         (table(REPAIR, "cost").rename(columns={"cost": "p"}), "two columns are the probability"),
-        (table([(*row, 1) for row in REPAIR], "cost", "reward"), "rewards and costs"),
+        (table([("a", "b", pd.NA, 1, 0)], "reward"), "the next state is missing"),
+        (table([("a", "b", "a", 1, pd.NA)], "reward"), "the reward is missing"),
+        (table([("a", "b", "a", 1, 0)], ""), "has no name"),
+        ({"state": ["a"], "action": [0], "next state": ["a", "b"]}, "no table"),
         (table([("a", None, "a", 1, 0)], "reward"), "the action is missing"),
         (table([("a", "b", "a", 1, float("nan"))], "reward"), "the reward is missing"),
         (table([("a", "b", "a", "much", 0)], "reward"), "row 0, probability"),

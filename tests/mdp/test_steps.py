@@ -43,11 +43,8 @@ def recursion(models: list[MDP], last: list[F]) -> list[F]:
 def test_steps_are_worth_what_the_recursion_says(seed: int) -> None:
     first = small_model(seed, F(9, 10), ends=1)
     models = [first, *(change_rewards(first, 100 * seed + k) for k in range(3))]
-    last = [F(k, 3) for k in range(first.n_states)]
-    for terminal, values in ((None, [F(0)] * first.n_states), (last, last)):
-        steps = MDP.from_steps(models, terminal_value=terminal)
-        found = certify(steps).value[: first.n_states].tolist()
-        assert found == recursion(models, values)
+    found = certify(MDP.from_steps(models)).value[: first.n_states].tolist()
+    assert found == recursion(models, [F(0)] * first.n_states)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -90,6 +87,7 @@ MODEL = small_model(0)
         ([small_model(0), small_model(0, states=4)], "in its states"),
         ([MODEL, 3], "int is not an MDP"),
         ([MODEL.within(2)], "answers a question already"),
+        ([MODEL.with_(labels={"x": {0}}).reaching("x")], "answers a question already"),
     ],
 )  # fmt: skip
 def test_other_steps_are_refused(models: list[MDP], said: str) -> None:

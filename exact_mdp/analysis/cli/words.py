@@ -58,7 +58,7 @@ def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dic
     pairs = {}
     for text in texts:
         name, equals, value = text.partition("=")
-        if not equals or not value.strip():
+        if not equals or not value.strip() or not name.strip():
             raise ModelError(f"{text!r} is not {form}", where=option, fix=f"write {form}")
         pairs[name.strip()] = value.strip()
     return pairs

@@ -31,7 +31,7 @@ from exact_mdp.analysis.vary.information import estimate_evpi, estimate_evppi
 from exact_mdp.analysis.vary.psa import groups_of, sample_parameters
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, require_known_name
+from exact_mdp.mdp.errors import ModelError, require_known_name, require_type
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -200,6 +200,9 @@ class CostEffectiveness(Pictured):
         years are discounted: 500 a year for ten years are sum(500 * 0.97**t for t in range(10)).
         """
         people = float_of(population, "population")
+        if people <= 0:
+            fix = "give how many people the decision concerns"
+            raise ModelError(f"a population of {people:g}", where="population", fix=fix)
         prices = _parse_prices(wtp)
         every = [
             estimate_evpi(people * self._equalise_ties(each))
@@ -533,7 +536,8 @@ def cost_effectiveness(
         require_known_name(name, solver.mdp.component_names, "component", "cost-effectiveness")
     # A solver for each of the two discounts.
     solvers = [solver, solver]
-    for name, rate in (discount or {}).items():
+    fix = 'give {component: discount}: {"cost": 0.97, "qaly": 1}'
+    for name, rate in require_type(discount or {}, Mapping, "discount", fix).items():
         require_known_name(name, (effect, cost), "component", "discount")
         if DISCOUNT in chosen.names:
             fix = "hold the discount fixed, or leave discount= out"

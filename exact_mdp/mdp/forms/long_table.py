@@ -2,9 +2,9 @@
 
     state, action, next state, probability, reward
 
-The rows of a pair need not stand together. A state that no row leaves is an end. A column `cost` in
-place of `reward` makes the sense "min". Every other column is a component of the reward; without a
-column `reward` or `cost`, the reward is the sum of the components.
+The rows of a pair need not stand together. A state that no row leaves is an end. A single
+column `cost` in place of `reward` makes the sense "min". Every other column is a component of the
+reward; without a column `reward`, the reward is the sum of the components.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ class FromFrame(FromArrays):
         Parameters
         ----------
         frame : DataFrame, {column: values}, or path of a `.csv` file
-            The columns state, action, next state, probability, and reward or cost (whose sense is
-            "min"). Capital letters do not matter, and s, a, next_state or to, p and r are read,
-            too. Every other column is a component of the reward, which is their sum if there is
-            no reward. A state that no row leaves is an end.
+            The columns state, action, next state, probability, and reward, or cost alone (whose
+            sense is "min"). Capital letters do not matter, and s, a, next_state or to, p and r are
+            read, too. Every other column is a component of the reward, which is their sum if there
+            is no reward. A state that no row leaves is an end. (`frame` prints no components.)
         discount : number or "p/q"
         start, **names
             As in `from_arrays`; states, actions and components come from the table.
@@ -98,8 +98,10 @@ class FromFrame(FromArrays):
         columns = _name_columns(given, where)
         if where != "frame":
             names = {"name": Path(where).stem} | names
-        paid = [name for name in columns if name in AMOUNTS]
-        parts = [name for name in columns if name not in (*PLACES, *paid)]
+        # A cost is the amount that counts only if it is the only one.
+        amounts = [name for name in columns if name not in PLACES]
+        paid = [name for name in amounts if name == Sense.MAX.amount or amounts == [COST]]
+        parts = [name for name in amounts if name not in paid]
         if paid == [COST]:
             names = {"sense": Sense.MIN} | names
             if not Sense.of_options(names).costs:
@@ -153,12 +155,19 @@ def _read_columns(frame: Any) -> tuple[dict[str, list[Any]], list[str], str]:
     else:
         where = "frame"
         if isinstance(frame, Mapping):
-            frame = pandas.DataFrame(frame, dtype=object)
+            try:
+                frame = pandas.DataFrame(frame, dtype=object)
+            except ValueError as error:
+                fix = "give lists of the same length"
+                raise ModelError(f"no table: {error}", where=where, fix=fix) from error
         fix = "give a DataFrame, {column: values}, or the path of a .csv file"
         require_type(frame, pandas.DataFrame, where, fix)
         heads = [*map(str, frame.columns)]
         values = [frame.iloc[:, k].tolist() for k in range(len(heads))]
         places = [f"frame, row {row}" for row in frame.index]
+    if "" in map(str.strip, heads):
+        fix = "name it, or leave it out, such as the index that pandas writes"
+        raise ModelError("a column has no name", where=where, fix=fix)
     if len({*heads}) < len(heads):
         raise ModelError("two columns have one name", where=where, fix="rename one of them")
     return dict(zip(heads, values, strict=True)), places, where
@@ -187,16 +196,22 @@ def _name_columns(given: dict[str, list[Any]], where: str) -> dict[str, list[Any
     if len(columns) == len(PLACES):
         fix = "add a column reward or cost, with 0 where nothing is earned"
         raise ModelError("the table has no reward", where=where, fix=fix)
-    if {*AMOUNTS} <= {*columns}:
-        fix = "leave one out, or give costs as negative rewards, under another name"
-        raise ModelError("the table has rewards and costs", where=where, fix=fix)
     return columns
+
+
+def _require_there(cell: Any, what: str, place: str) -> None:
+    """Raise ModelError for an empty cell."""
+    import pandas
+
+    if (isinstance(cell, str) and not cell) or (
+        pandas.api.types.is_scalar(cell) and pandas.isna(cell)
+    ):
+        raise ModelError(f"the {what} is missing", where=place, fix="fill the cell")
 
 
 def _name_of(cell: Any, what: str, place: str) -> Any:
     """Return the name of a state or action; a text that shows a number is the number."""
-    if cell is None or cell == "" or cell != cell:
-        raise ModelError(f"the {what} is missing", where=place, fix="fill the cell")
+    _require_there(cell, what, place)
     if isinstance(cell, str):
         numbered = NUMBERED.fullmatch(cell)
         if numbered:
@@ -206,7 +221,6 @@ def _name_of(cell: Any, what: str, place: str) -> Any:
 
 def _number_of(cell: Any, what: str, place: str) -> Any:
     """Return a number as given; raise ModelError for a missing one, and for other values."""
-    if cell is None or cell == "" or cell != cell:
-        raise ModelError(f"the {what} is missing", where=place, fix="fill the cell")
+    _require_there(cell, what, place)
     with locate_errors(f"{place}, {what}"):
         return as_given(cell)

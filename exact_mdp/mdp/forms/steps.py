@@ -16,9 +16,9 @@ from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.components import with_components
 from exact_mdp.mdp.errors import ModelError, require_list
 from exact_mdp.mdp.questions.ending import NO_DATA
-from exact_mdp.mdp.questions.terminal_values import add_terminal_values, read_terminal_values
+from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.space import TIME, Column, StateSpace
-from exact_mdp.mdp.table import Numbers, OutcomeTable, Rows, make_ones
+from exact_mdp.mdp.table import Integers, Numbers, OutcomeTable, Rows, make_ones
 
 SAME = {
     "actions": "actions",
@@ -35,7 +35,7 @@ class FromSteps(FromArrays):
     """Models of several steps, each with its own rows and rewards."""
 
     @classmethod
-    def from_steps(cls, models: Iterable[Self], *, terminal_value: object = None) -> Self:
+    def from_steps(cls, models: Iterable[Self]) -> Self:
         """Build an episode of N steps from N models of the same states: rows that depend on time.
 
         Parameters
@@ -43,8 +43,6 @@ class FromSteps(FromArrays):
         models : iterable of N MDP
             The rows, rewards and labels of steps 0 … N-1. States, actions, discount, sense and
             components must be the same. The first has the start.
-        terminal_value : (S,) numbers or {state: number}, optional
-            As in `within`.
 
         Returns
         -------
@@ -75,19 +73,16 @@ class FromSteps(FromArrays):
         if space.extra or not space.columns:
             space = StateSpace.plain(space.size, space.labels(range(space.size)))
         size, floats = space.size, all(m.table.weight.dtype == np.float64 for m in listed)
-        tables = [model.table for model in listed]
+        kept = _list_pairs_kept(listed)
+        tables = [model.table.of_pairs(own) for model, own in zip(listed, kept, strict=True)]
         table = _join_tables([*tables, _stay_put(tables, size, floats)], size)
-        names, before = first.component_names, sum(model.n_pairs for model in listed[:-1])
-        values = read_terminal_values(terminal_value, first.space)
-        if any(values):
-            worth = [first.discount_exact * value for value in values]
-            earned = [worth[state] for state in tables[-1].next.tolist()]
-            names, table = add_terminal_values(table, before, earned, names)
-        owners = [model.pair_state + size * time for time, model in enumerate(listed)]
-        actions = [model.pair_action for model in listed]
+        owners = [
+            model.pair_state[pairs] + size * time
+            for time, (model, pairs) in enumerate(zip(listed, kept, strict=True))
+        ]
+        actions = [model.pair_action[pairs] for model, pairs in zip(listed, kept, strict=True)]
         parts = {
             "table": table,
-            "component_names": names,
             "pair_state": np.concatenate([*owners, np.arange(size) + size * steps]),
             "pair_action": np.concatenate([*actions, np.zeros(size, np.int64)]),
             "space": StateSpace(columns=(Column(name=TIME, size=steps + 1), *space.columns)),
@@ -99,6 +94,17 @@ class FromSteps(FromArrays):
             **NO_DATA,
         }
         return replace(first, **parts)
+
+
+def _list_pairs_kept(models: Sequence[Any]) -> list[Integers]:
+    """Return the pairs of each step; a state in which an episode is over from then on has one."""
+    over, kept = np.ones(models[0].n_states, dtype=bool), list[Integers]()
+    for model in reversed(models):
+        over = over & model.over
+        inside = ~over[model.pair_state]
+        inside[model.pair_offsets[:-1][over]] = True
+        kept.append(np.flatnonzero(inside))
+    return kept[::-1]
 
 
 def _require_same_states(models: Sequence[Any]) -> None:
@@ -113,7 +119,7 @@ def _require_same_states(models: Sequence[Any]) -> None:
             raise ModelError(
                 f"{type(model).__name__} is not an MDP", where=where, fix="give an MDP"
             )
-        if model.goal is not None or TIME in model.space.names:
+        if origin_of(model) is not None or model.goal is not None or TIME in model.space.names:
             fix = "ask the question of the model that from_steps returns"
             raise ModelError("the model answers a question already", where=where, fix=fix)
         differ = [name for name in SAME if getattr(model, name) != getattr(first, name)]

@@ -42,7 +42,11 @@ def read_tra(path: str | Path, *, discount: object = 1, start: object = None) ->
     if len(head) not in (2, 3):
         raise _report_line(path, 1, "the first line has other than 2 or 3 numbers")
     # The branches of each choice, and the choices of each state.
-    size = _parse_whole(head[0], path, 1)
+    size, count = (_parse_whole(cell, path, 1) for cell in (head[0], head[-1]))
+    if len(rows) != count:
+        raise _report_line(
+            path, 1, f"{count:,} transitions are announced, and {len(rows):,} follow"
+        )
     branches: dict[tuple[int, int], list[tuple[int, float]]] = defaultdict(list)
     words: dict[tuple[int, int], str] = {}
     for line, cells in rows:
@@ -54,6 +58,9 @@ def read_tra(path: str | Path, *, discount: object = 1, start: object = None) ->
         branches[state, choice].append((to, _parse_amount(cells[3], path, line)))
         words[state, choice] = "".join(cells[4:])
     pairs = sorted(branches)
+    if nondeterministic and len(pairs) != _parse_whole(head[1], path, 1):
+        what = f"{head[1]} choices are announced, and {len(pairs):,} follow"
+        raise _report_line(path, 1, what)
     counts = np.bincount([state for state, _ in pairs], minlength=size)
     listed = [each for pair in pairs for each in branches[pair]]
     labels = _read_labels(path.with_suffix(".lab"), size)
@@ -68,7 +75,7 @@ def read_tra(path: str | Path, *, discount: object = 1, start: object = None) ->
         action_names=(),
         words=_read_states(path.with_suffix(".sta"), size),
         initial=np.flatnonzero(labels.get(INITIAL, np.arange(size) == 0)).tolist(),
-        rewards=_read_rewards(path, pairs, branches, nondeterministic=nondeterministic),
+        rewards=_read_rewards(path, pairs, branches, size, nondeterministic=nondeterministic),
         labels=labels,
         reward=None,
         discount=discount,
@@ -113,7 +120,7 @@ def _read_states(path: Path, size: int) -> tuple[str, ...]:
 
 
 def _read_rewards(
-    path: Path, pairs: list[tuple[int, int]], branches: Any, *, nondeterministic: bool
+    path: Path, pairs: list[tuple[int, int]], branches: Any, size: int, *, nondeterministic: bool
 ) -> dict[str, dict[str, list[float]]]:
     """Return the rewards of "states" and "branches", by the number of their structure."""
     found: dict[str, dict[str, list[float]]] = {}
@@ -121,16 +128,20 @@ def _read_rewards(
     first = [0, *accumulate(len(branches[pair]) for pair in pairs)]
     for file in sorted(path.parent.glob(f"{path.stem}*rew")):
         structure = re.fullmatch(rf"{re.escape(path.stem)}(\d*)\.([st])rew", file.name)
-        if structure is None:
+        # NAME1.srew belongs to NAME1.tra, if there is such a model.
+        if structure is None or (structure[1] and file.with_suffix(".tra").exists()):
             continue
         own = found.setdefault(REWARD + structure[1], {})
         (_, head), *rows = _split_lines(file)
-        if structure[2] == "s":
-            own["states"] = [0.0] * _parse_whole(head[0], file, 1)
-        else:
-            own["branches"] = [0.0] * first[-1]
+        of_states = structure[2] == "s"
+        if not head or (of_states and head[0] != str(size)):
+            raise _report_line(file, 1, f"the first line does not begin with {size} states")
+        own["states" if of_states else "branches"] = [0.0] * (size if of_states else first[-1])
+        width = 2 if of_states else 3 + nondeterministic
         for line, cells in rows:
-            if structure[2] == "s":
+            if len(cells) != width:
+                raise _report_line(file, line, f"{len(cells)} values, not {width}")
+            if of_states:
                 own["states"][_parse_whole(cells[0], file, line, len(own["states"]))] = (
                     _parse_amount(cells[-1], file, line)
                 )

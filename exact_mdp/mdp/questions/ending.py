@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, require_known_name
-from exact_mdp.mdp.questions.expressions import find_states, is_expression
+from exact_mdp.mdp.questions.expressions import find_states, is_expression, list_variables
 from exact_mdp.mdp.table import Numbers, OutcomeTable
 from exact_mdp.mdp.validate import Flags, Parts
 
@@ -50,7 +50,8 @@ def find_labelled_states(model: Parts, label: str) -> Flags:
             fix="ask the model that it was made from, or give one label to the states of both "
             "questions",
         )
-    if is_expression(label) and label not in model.labels:
+    known = label in model.labels
+    if not known and (is_expression(label) or label in list_variables(model.space)):
         return find_states(model, label)
     if not model.labels:
         raise ModelError(

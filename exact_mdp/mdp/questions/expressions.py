@@ -3,8 +3,9 @@
     x=3 & (y>1 | !"goal")
 
 A variable is a column of the state space. If states have names such as "x=3, done=true", as from a
-PRISM program, its variables are x and done. A variable is compared (=, !=, <, <=, >, >=) with a
-number or a word; a word with spaces needs quotation marks. A variable that is true or false may
+PRISM program, its variables are x and done; if states are tuples, state[0] is the first part. A
+variable is compared (=, !=, <, <=, >, >=) with a number or a word; a word with spaces needs
+quotation marks. A variable that is true or false may
 stand alone. ! binds more closely than &, and & more closely than |. A comparison does not hold in a
 state without the variable, such as an additional end, but its negation does.
 """
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, suggest_name
+from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.space import Integers, StateSpace
 from exact_mdp.mdp.validate import Flags, Parts
 
@@ -48,7 +50,11 @@ def find_states(model: Parts, text: str) -> Flags:
 
     Raises ModelError for a text that cannot be read, and for unknown labels and variables.
     """
-    return _Reader(model, text).read_whole()
+    try:
+        return _Reader(model, text).read_whole()
+    except RecursionError:
+        what, fix = "the expression is nested too deeply", "use fewer parentheses and negations"
+        raise ModelError(what, where=f"{text!r:.60}", fix=fix) from None
 
 
 class _Reader:
@@ -174,7 +180,15 @@ def list_variables(space: StateSpace) -> dict[str, Variable]:
         names = {*named[0]}
         if names and all({*each} == names for each in named):
             return {name: _gather([each[name] for each in named], space) for name in named[0]}
-    return {
+    parts: dict[str, Variable] = {}
+    if len(columns) == 1:
+        # States that are tuples have their parts.
+        things = columns[0].objects
+        lengths = {len(thing) if isinstance(thing, tuple) else 0 for thing in things}
+        for place in range(max(lengths, default=0) if len(lengths) == 1 else 0):
+            texts = [text_of(thing[place]) for thing in things if isinstance(thing, tuple)]
+            parts[f"{columns[0].name}[{place}]"] = _gather(texts, space)
+    return parts | {
         column.name: Variable(
             values=tuple(map(column.label, range(column.size))),
             number=space.values(column.name),

@@ -19,7 +19,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, frame_to_table
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import MOST_BYTES, Floats
 from exact_mdp.mdp.validate import require_count
 from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
@@ -108,6 +108,9 @@ def cohort_trace(
         states, last = np.arange(mdp.n_states), mdp.space.regular
         own = np.where(states < last, states % space.regular, states - last + space.regular)
     count = require_count(steps, "steps")
+    if (count + 1) * space.size * 8 > MOST_BYTES:
+        what = f"{count:,} steps of {space.size:,} states take more than {MOST_BYTES / 1e9:g} GB"
+        raise ModelError(what, where="steps", fix="choose fewer steps")
     chain = PolicyChain.of(mdp, policy)
     onward, over = chain.transition.T.tocsr(), mdp.terminal
     at, rows = mdp.start_distribution, []

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from json import loads
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,6 @@ ANALYSES: dict[str, Callable[..., object]] = {
     "two-way": lambda model, **how: two_way(model, "p", "discount", ranges=BOX, points=2, **how),
     "psa": lambda model, **how: psa(model, 4, **DRAWN, **how),
     "sobol": lambda model, **how: sobol(model, n=4, **DRAWN, **how),
-    "worst point": lambda model, **how: worst_point(model, ranges={"p": BOX["p"]}, **how),
 }
 
 
@@ -73,10 +73,17 @@ def chances(mdp: MDP) -> Parametric:
 )
 def test_infinite_values_are_refused(name: str, mdp: MDP, policy: str, what: str) -> None:
     """∞ - ∞ is no regret of 0: what is infinite is named, and no bare warning comes before it."""
-    if name == "worst point":
-        what = "is infinite"
     with pytest.raises(ModelError, match=rf"{what}[\s\S]*nothing can be compared[\s\S]*where"):
         ANALYSES[name](chances(mdp), policy=policy)
+
+
+@pytest.mark.parametrize(
+    ("mdp", "policy", "value"),
+    [(GAINS, "optimal", inf), (GAINS, "always:1", inf), (LOSES, "always:0", -inf)],
+)
+def test_a_worst_point_only_compares_values(mdp: MDP, policy: str, value: float) -> None:
+    found = worst_point(chances(mdp), ranges={"p": BOX["p"]}, policy=policy)
+    assert found.value.value == value
 
 
 @pytest.mark.parametrize("kind", ["tornado", "psa --samples 4", "sobol --samples 4"])

@@ -45,6 +45,9 @@ def test_transitions_alone_and_a_chain(tmp_path: Path) -> None:
     assert not chain.reward.any()
     write(tmp_path, trew="2 1\n0 1 8\n")
     assert load(tmp_path / "walk.tra").reward.tolist() == [6, 0]
+    # walk1.srew belongs to walk1.tra, if there is such a model.
+    write(tmp_path, walk1_srew="2 1\n0 100\n", walk1_tra="1 1\n0 0 1\n")
+    assert load(tmp_path / "walk.tra").reward.tolist() == [6, 0]
 
 
 @pytest.mark.parametrize(
@@ -52,9 +55,15 @@ def test_transitions_alone_and_a_chain(tmp_path: Path) -> None:
     [
         ({"tra": "3\n"}, "walk.tra, line 1", "other than 2 or 3 numbers"),
         ({"tra": ""}, "walk.tra, line 1", "other than 2 or 3 numbers"),
-        ({"tra": "2 3\n0 5 1\n"}, "walk.tra, line 2", "'5' is not a number below 2"),
-        ({"tra": "2 3\n0 1\n"}, "walk.tra, line 2", "3 values"),
-        ({"tra": "2 3\n0 1 much\n"}, "walk.tra, line 2", "'much' is not a number"),
+        ({"tra": "2 1\n0 5 1\n"}, "walk.tra, line 2", "'5' is not a number below 2"),
+        ({"tra": "2 1\n0 1\n"}, "walk.tra, line 2", "3 values"),
+        ({"tra": "2 1\n0 1 much\n"}, "walk.tra, line 2", "'much' is not a number"),
+        ({"tra": "20000000 2\n0 0 1\n"}, "walk.tra, line 1", "2 transitions are announced, and 1"),
+        ({"tra": TRA.replace("3 4 6", "3 5 6")}, "walk.tra, line 1", "5 choices are announced"),
+        ({"tra": TRA, "srew": ""}, "walk.srew, line 1", "begin with 3 states"),
+        ({"tra": TRA, "srew": "9 1\n0 1\n"}, "walk.srew, line 1", "begin with 3 states"),
+        ({"tra": TRA, "srew": "3 1\n1\n"}, "walk.srew, line 2", "1 values, not 2"),
+        ({"tra": TRA, "trew": "3 4 1\n0\n"}, "walk.trew, line 2", "1 values, not 4"),
         ({"tra": TRA, "lab": '0="init"\n0: 1\n'}, "walk.lab, line 2", "label 1 has no name"),
         ({"tra": TRA, "sta": "(x)\n0:(1,2)\n"}, "walk.sta, line 2", "2 values of 1 variables"),
         ({"tra": TRA, "srew": "3 1\n9 1\n"}, "walk.srew, line 2", "'9' is not a number below 3"),

@@ -313,6 +313,8 @@ def test_costs_and_effects_from_elsewhere() -> None:
     alone = CostEffectiveness.of(cost, effect)
     assert not alone.base_case
     assert alone.evpi(1).value == given.evpi(1).value
+    with pytest.raises(ModelError, match="a population of -5"):
+        given.evpi(1.0, population=-5)
     base = CostEffectiveness.of({"a": 1, "b": 3}, {"a": 1, "b": 1.5})
     assert base.base_case
     assert base.icers()["ICER"].tolist()[1] == 4
@@ -358,7 +360,8 @@ def test_two_discounts_are_two_analyses() -> None:
         assert getattr(both, name)[:, :2].tolist() == getattr(one, name).tolist()
     only = cost_effectiveness(model, strategies, discount={"cost": 0})
     assert only.cost.tolist()[0][:2] == [5, 9]
-    for wrong, words in (({"price": 1}, "unknown component"), ({"cost": 2}, "discount")):
+    for wrong, words in (({"price": 1}, "unknown component"), ({"cost": 2}, "discount"),
+                         (0.9, "give {component: discount}|is of type float")):  # fmt: skip
         with pytest.raises(ModelError, match=words):
             cost_effectiveness(model, strategies, discount=wrong)
     drawn = {"discount": {"distribution": "uniform", "low": 0.8, "high": 0.9}}

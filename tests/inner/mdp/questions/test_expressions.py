@@ -96,6 +96,12 @@ def test_a_state_without_the_variable() -> None:
     assert answers == [False, True, True, False]
 
 
+def test_a_variable_alone_and_too_many_parentheses() -> None:
+    assert certify(NAMED.with_(start=1).reaching("done")).start_value == 1
+    with pytest.raises(ModelError, match="nested too deeply"):
+        find_states(NAMED, "(" * 3000 + "done" + ")" * 3000)
+
+
 def test_bits_are_no_numbers() -> None:
     assert find_states(COLUMNS, "code=01").sum() == 12
     with pytest.raises(ModelError, match="does not compare two numbers"):
@@ -141,6 +147,6 @@ def test_questions_take_expressions() -> None:
 
     walk = MDP.from_function((1, 0), lambda place: [0] if place[0] % 3 else [], step)
     named = walk.with_(labels={"top": find_states(walk, 'state="(3, 0)"')})
-    for text in ('state="(3, 0)"', "top"):
+    for text in ('state="(3, 0)"', "top", "state[0]=3", "state[0]>2 & state[1]=0"):
         assert certify(named.reaching(text)).start_value == Fraction(1, 3)
     assert certify(named.until('top | state="(0, 0)"')).start_value == 2

@@ -74,6 +74,8 @@ def test_the_number_of_steps_is_said_once() -> None:
         cohort_trace(mdp.within(2), "random", 2)
     with pytest.raises(ModelError, match="steps"):
         cohort_trace(mdp, "random", 0)
+    with pytest.raises(ModelError, match="choose fewer steps"):
+        cohort_trace(mdp, "random", 10**12)
 
 
 @pytest.mark.parametrize("seed", range(4))
