@@ -50,8 +50,8 @@ def find_labelled_states(model: Parts, label: str) -> Flags:
             fix="ask the model that it was made from, or give one label to the states of both "
             "questions",
         )
-    known = label in model.labels
-    if not known and (is_expression(label) or label in list_variables(model.space)):
+    named = isinstance(label, str) and label not in model.labels
+    if named and (is_expression(label) or label in list_variables(model.space)):
         return find_states(model, label)
     if not model.labels:
         raise ModelError(
