@@ -1,4 +1,4 @@
-"""The arguments that most functions share: a model, and a criterion of optimality."""
+"""The arguments that most functions share, a model and a criterion; and what results say of it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.ending import ends_at_label
+from exact_mdp.mdp.report import Shown
 from exact_mdp.mdp.space import TIME
 
 CRITERIA = ("total", "average")
@@ -62,3 +63,23 @@ def require_no_horizon(horizon: object) -> None:
             where="horizon",
             fix="leave horizon out, or divide the total of N steps by N",
         )
+
+
+class OfCriterion:
+    """Base class of results whose values are total or average rewards."""
+
+    criterion: str
+
+    @property
+    def measure(self) -> str:
+        """What the values are, in words."""
+        if is_average(self.criterion):
+            return "average reward"
+        return "value"
+
+    @property
+    def criterion_facts(self) -> dict[str, Shown]:
+        """The facts of a report that say so; none for a total."""
+        if is_average(self.criterion):
+            return {"criterion": Shown(self.criterion, "average reward per step")}
+        return {}

@@ -13,7 +13,7 @@ from exact_mdp.analysis.cli.words import pairs_of, refuse_options
 from exact_mdp.mdp.care.perception import read_confusion_matrix, status_names
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.io.files import read_text, write_atomically
-from exact_mdp.mdp.io.structured import csv_of
+from exact_mdp.mdp.io.structured import csv_of, require_column_names
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import DataFrame, data_frame
@@ -156,8 +156,7 @@ def _read_draws(path: str) -> DataFrame:
     """Return the table of a .csv file, whose numbers are exact texts."""
     rows = csv_of(read_text(path).splitlines(), path)
     _, names = next(rows, (0, []))
-    if len({*names}) < len(names):
-        raise ModelError("two columns have one name", where=path, fix="rename one of them")
+    require_column_names(names, path)
     return data_frame([row for _, row in rows], columns=names)
 
 

@@ -31,7 +31,6 @@ from exact_mdp.analysis.plots.style import (
     make_swatch,
     name_rows,
 )
-from exact_mdp.analysis.vary.criterion import OfCriterion
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.curves.gradient import Gradient
 from exact_mdp.analysis.vary.curves.thresholds import Thresholds
@@ -43,6 +42,7 @@ from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.analysis.vary.sobol import Sobol
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.solvers.arguments import OfCriterion
 
 OUTPUT = {
     "optimal": "value at the start, policy re-optimised",

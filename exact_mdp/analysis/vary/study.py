@@ -20,7 +20,6 @@ from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
 
-from exact_mdp.analysis.vary.criterion import OfCriterion
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import (
     DistributionError,
@@ -43,7 +42,7 @@ from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.arguments import is_average
+from exact_mdp.solvers.arguments import OfCriterion, is_average
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
 from exact_mdp.solvers.care import ScenarioStack
 from exact_mdp.solvers.claims import Bounded, Claim, compute_regrets

@@ -19,7 +19,7 @@ from exact_mdp.mdp.errors import ModelError, locate_errors, require_type
 from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, name_columns
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.io.files import read_text
-from exact_mdp.mdp.io.structured import csv_of
+from exact_mdp.mdp.io.structured import csv_of, require_column_names
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.validate import check_options
 
@@ -165,11 +165,7 @@ def _read_columns(frame: Any) -> tuple[dict[str, list[Any]], list[str], str]:
         heads = [*map(str, frame.columns)]
         values = [frame.iloc[:, k].tolist() for k in range(len(heads))]
         places = [f"frame, row {row}" for row in frame.index]
-    if "" in map(str.strip, heads):
-        fix = "name it, or leave it out, such as the index that pandas writes"
-        raise ModelError("a column has no name", where=where, fix=fix)
-    if len({*heads}) < len(heads):
-        raise ModelError("two columns have one name", where=where, fix="rename one of them")
+    require_column_names(heads, where)
     return dict(zip(heads, values, strict=True)), places, where
 
 

@@ -11,7 +11,7 @@ import csv
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import chain
 from typing import Any, NoReturn
@@ -109,6 +109,15 @@ def csv_of(
     except csv.Error as error:
         place = f"{begin}line {reader.line_num}"
         raise ModelError(f"broken CSV: {error}", where=place, fix="correct that line") from error
+
+
+def require_column_names(names: Sequence[str], where: str) -> None:
+    """Raise ModelError for a column of a table without a name, or two of one name."""
+    if "" in map(str.strip, names):
+        fix = "name it, or leave it out, such as the index that pandas writes"
+        raise ModelError("a column has no name", where=where, fix=fix)
+    if len({*names}) < len(names):
+        raise ModelError("two columns have one name", where=where, fix="rename one of them")
 
 
 # ---- the required shape of JSON ------------------------------------------------------------------

@@ -26,7 +26,6 @@ from flint import fmpq_poly
 
 from exact_mdp.analysis.gate.regret import limit_of
 from exact_mdp.analysis.optimum import actions_of
-from exact_mdp.analysis.vary.criterion import OfCriterion
 from exact_mdp.analysis.vary.curves.average_equations import AverageEquations
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, piece_violations
 from exact_mdp.analysis.vary.curves.equations import PolicyPairs, SectionEquations, sum_weighted
@@ -49,7 +48,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, format_rational
-from exact_mdp.solvers.arguments import is_average, require_average_applies
+from exact_mdp.solvers.arguments import OfCriterion, is_average, require_average_applies
 from exact_mdp.solvers.claims import Claim
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import EXACT_TRANSITIONS
-from exact_mdp.analysis.vary.criterion import OfCriterion
 from exact_mdp.analysis.vary.curves.average_gradient import (
     bounded_average_pass,
     exact_average_pass,
@@ -63,7 +62,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, to_common_denominator, to_integer_array
-from exact_mdp.solvers.arguments import is_average
+from exact_mdp.solvers.arguments import OfCriterion, is_average
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, gamma
 from exact_mdp.solvers.claims import Bounded, Certified, Claim, ClaimedNumber, LowHigh, in_float
 from exact_mdp.solvers.endless.quotient import of_pairs

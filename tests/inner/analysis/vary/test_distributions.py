@@ -412,7 +412,7 @@ def test_a_sample_of_ones_own_has_its_moments() -> None:
     (two,) = uncertainty(MODEL, frame[["p"]][:2]).parts
     assert (two.mean[0], two.sd[0]) == pytest.approx((0.15, 0.005**0.5))
     with pytest.raises(ModelError, match="uncertain"):
-        uncertainty(MODEL, [1, 2])  # type: ignore[arg-type]
+        uncertainty(MODEL, [1, 2])
 
 
 REFUSED: list[dict[str, object]] = [

@@ -214,8 +214,8 @@ def test_a_point_next_to_the_middle_is_used_where_a_chance_is_0_there() -> None:
         zeros = [low + (high - low) * share for share in shares]
         for many in (0, 1, 2, 3):
 
-            def chance(x: F, count: int = many) -> F:
-                return F(1, 2) * prod(((x - zero) ** 2 for zero in zeros[:count]), start=F(1))  # noqa: B023
+            def chance(x: F, roots: list[F] = zeros[:many]) -> F:
+                return F(1, 2) * prod(((x - zero) ** 2 for zero in roots), start=F(1))
 
             def build(at: dict[str, F], chance: Any = chance) -> MDP:
                 p = chance(at["x"]) * (1 + at["x"]) / 2
