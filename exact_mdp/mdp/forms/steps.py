@@ -162,7 +162,8 @@ def _join_tables(tables: Sequence[OutcomeTable], size: int) -> OutcomeTable:
         rows = Rows(
             offsets=offsets, next=np.concatenate(following),
             weight=np.concatenate([table.weight for table in tables]),
-            denominator=make_ones(len(lengths)), sound=True,
+            denominator=make_ones(len(lengths)),
+            sound=all(table.rows.sound for table in tables),
         )  # fmt: skip
     else:
         pairs = [table.rows.integers for table in tables]

@@ -154,7 +154,7 @@ class LinearSystem(ByFields):
         if closely:
             return self.approximate(constant)
         # Inner products of very small or large numbers leave the range of floats: scale by a power
-        # of 2, which rounds nothing.
+        # of 2, which rounds no number that counts beside the largest.
         _, power = np.frexp(np.abs(constant).max())
         return np.ldexp(self._solve_iteratively(np.ldexp(constant, -power), 1e-2), power)
 
