@@ -110,11 +110,11 @@ def charge_class_losses(
     """
     # The loss of a class: arrivals times regret, over the states where it is entered.
     inside = label >= 0
-    lost = np.where(inside & (came > 0), came * np.where(came > 0, by_state, 0.0), 0.0)
+    lost = came * np.where(came > 0, by_state, 0.0)
     whole = np.bincount(label[inside], weights=lost[inside], minlength=len(label))
     whole[label[inside & (gap > 0)]] = 0.0
     # Equal parts for the wrong states of each class.
-    blamed = inside & wrong & (whole[label] > 0)
+    blamed = inside & wrong
     number = np.bincount(label[blamed], minlength=len(label))
     return np.where(blamed, whole[label] / np.maximum(number[label], 1), 0.0)
 
@@ -153,9 +153,8 @@ def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int
 def find_zero_reward_pairs(mdp: MDP, best: Certificate, optimal: Flags) -> Flags:
     """Return the optimal pairs (L,) of states of value 0 that earn a policy 0 forever."""
     # Start from all states of value 0, and drop those that cannot stay among the others.
-    worth = np.array([value == 0 for value in best.value], dtype=bool)
+    left = np.array([value == 0 for value in best.value], dtype=bool)
     earned = np.array([gain == 0 for gain in mdp.table.expected_gain_exact[0]], dtype=bool)
-    left = worth
     while True:
         inside = optimal & earned & left[mdp.pair_state] & (mdp.transition @ ~left == 0)
         kept = np.logical_or.reduceat(inside, mdp.pair_offsets[:-1])

@@ -447,7 +447,7 @@ def _decide_exactly(chain: PolicyChain, lost: Regret) -> Regret:
     """
     mdp, optimum = chain.mdp, lost.optimum
     assert isinstance(optimum, Bounds)
-    open_ = (ActionBounds(mdp, optimum).least_gap <= 0) | (chain.chosen > 0)
+    open_ = ActionBounds(mdp, optimum).least_gap <= 0
     reached = find_reachable_states(mdp, pairs=open_)
     pairs = np.flatnonzero(open_ & reached[mdp.pair_state])
     if np.diff(mdp.transition.indptr)[pairs].sum() > EXACT_TRANSITIONS:
@@ -509,7 +509,7 @@ class ActionBounds:
         # Q*(l) - V(s) = d(l) + γ P_l (V* - V), and low · w ≤ V* - V ≤ high · w.
         self.mdp, added = mdp, compute_advantages(mdp, optimum.value)
         value, flow = added.value, mdp.discount * (mdp.transition @ optimum.weight)
-        off = (added.error + 8 * UNIT * np.abs(value)) * SLACK + TINY
+        off = added.error + 8 * UNIT * np.abs(value) + TINY
         off += (SLACK - 1) * max(abs(optimum.low), abs(optimum.high)) * flow
         self.low, self.high = value - off + optimum.low * flow, value + off + optimum.high * flow
 

@@ -198,7 +198,7 @@ def _bound_totals(sets: RowSets, steps: int | None = None) -> Ends:
     if steps is None:
         return low / float(rest) * SLACK, high / float(rest) * SLACK
     weight = float(np.cumsum(sets.mdp.discount ** np.arange(steps))[-1]) * SLACK
-    return low * weight * SLACK, high * weight * SLACK
+    return low * weight, high * weight
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -224,7 +224,7 @@ class Operators:
         own, best = np.zeros((2, 2, self.sets.mdp.n_states))
         for most in (0, 1):
             own[most] = self.bound_fixed_point(most, then["own"], mixing=self.mixing)
-            best[most] = self.bound_fixed_point(most, then["best"], mixing=None)
+            best[most] = self.bound_fixed_point(most, then["best"])
         after: dict[str, Any] = {"own": own, "best": best}
         if later is not None:
             after = vars(later)
@@ -271,11 +271,9 @@ class Operators:
             mixing = sp.csr_array(each, (len(taken), len(pairs)))
         else:
             # A mixture is a sum of products, in which each product and the sum are rounded.
-            if most:
-                sign = 1
-            else:
-                sign = -1
-            off = sign * 4 * UNIT * mdp.n_actions
+            off = 4 * UNIT * mdp.n_actions
+            if not most:
+                off = -off
         bound = mixing @ pairs + off * (mixing @ np.abs(pairs))
 
         def compute_piece() -> tuple[sp.csr_array, Floats]:
@@ -299,7 +297,7 @@ class Operators:
         least = self.sets.solve_inner_problem(middle, most=False).bound
         most = self.sets.solve_inner_problem(middle, most=True).bound
         # γ Σ |P_l - P_π| h: at the recorded shares, and by what the rows may move from there.
-        moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
+        moved = np.minimum(np.sqrt(2 * self.sets.radius), 2.0) * float(half.max())
         state = mdp.pair_state
         apart = abs(mdp.transition - (mixing @ mdp.transition)[state]) @ half
         others = (mixing @ moved)[state] - own * moved

@@ -143,7 +143,7 @@ class RowSets:
                 rounding = -rounding
             return float(weights @ value + rounding)
         # The start is one more counted row, with a set of its own.
-        begun, one = sp.csr_array(weights[None] / weights.sum()), np.array([0])
+        begun, one = sp.csr_array(weights[None]), np.array([0])
         n = np.array([self.episodes])
         radius = _compute_radii(begun.data, 0 * begun.indices, n, self.mdp.n_states, self.share)
         blocks = _with_unseen(one, begun, np.zeros(begun.nnz), 0.0)
@@ -173,7 +173,7 @@ class RowSets:
             # The mean of n rewards, scaled to [0, 1], obeys n kl(mean seen, μ) ≤ log((n + 1) / δ).
             n = self.counted[self.pairs]
             mean = np.clip((low[self.pairs] - least) / (most - least), 0.0, 1.0)
-            edge = np.log((n + 1) / (self.share / 2)) / n * SLACK
+            edge = np.log((n + 1) / (self.share / 2)) / n
             low[self.pairs] = least + (most - least) * (1 - _bound_mean_above(1 - mean, edge))
             high[self.pairs] = least + (most - least) * _bound_mean_above(mean, edge)
         return low, high
@@ -237,10 +237,6 @@ class RowSets:
             against=not most,
             rewards=rewards and self.known,
         )
-        if most:
-            sign = 1
-        else:
-            sign = -1
         bound = mdp.discount * (mdp.transition @ value)  # for rows that are certain
         # Known rewards of counted pairs are part of the inner problem.
         reward = np.zeros(mdp.n_pairs)
@@ -248,13 +244,14 @@ class RowSets:
             reward = np.where(self.counted > 0, 0.0, mdp.reward)
         elif rewards:
             reward = self.reward[most]
+        size = np.abs(value).max() + rewards * (np.abs(reward) + np.abs(self.rewards).max())
+        length = np.diff(mdp.transition.indptr) + 8
+        rounding = length * 4 * UNIT * size + TINY * (size > 0)
         if most:
             bound[pairs] = values.high
         else:
-            bound[pairs] = values.low
-        size = np.abs(value).max() + rewards * (np.abs(reward) + np.abs(self.rewards).max())
-        length = np.diff(mdp.transition.indptr) + 8
-        bound = bound + reward + sign * (length * 4 * UNIT * size + TINY * (size > 0))
+            bound[pairs], rounding = values.low, -rounding
+        bound = bound + reward + rounding
 
         def compute_piece() -> tuple[sp.csr_array, Floats]:
             place, following, weight, earned = list_entries(blocks, values.distributions)

@@ -1,10 +1,14 @@
 """Sets of rows that records allow, beside the likelihood ratio written out and its dual."""
 
+from dataclasses import replace
+from fractions import Fraction as F
 from functools import cache
-from math import exp, lgamma, log
+from math import exp, expm1, lgamma, log
 from typing import Any
 
+import flint
 import numpy as np
+import oracle
 import pandas as pd
 import pytest
 from records import NAMES, recorded
@@ -60,8 +64,8 @@ def extreme(p: np.ndarray, x: np.ndarray, radius: float, most: bool) -> float:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_radii_are_the_likelihood_ratio(known: bool) -> None:
-    for seed in range(3):
-        mdp = model(seed, rewards="decided")
+    for seed, episodes in ((0, 20), (1, 20), (2, 20), (0, 4)):
+        mdp = model(seed, episodes, rewards="decided")
         sets = RowSets.of(mdp, 0.05, "known" if known else (-10, 10))
         counts, seen = counts_of(mdp), sets.counted > 0
         assert sets.counted.tolist() == counts.sum(axis=1).tolist()
@@ -84,9 +88,11 @@ def test_radii_are_the_likelihood_ratio(known: bool) -> None:
 @pytest.mark.parametrize("known", [True, False])
 def test_nature_chooses_the_extreme_law_of_each_set(known: bool, most: bool) -> None:
     rng = np.random.default_rng(0)
-    for seed in range(3):
-        mdp = model(seed, rewards="decided" if known else "chance")
+    for seed, episodes in ((0, 20), (1, 20), (2, 20), (0, 5)):
+        mdp = model(seed, episodes, rewards="decided" if known else "chance")
         sets = RowSets.of(mdp, 0.05, "known" if known else (-1, 2))
+        if seed == 1:  # as if nobody had taken this one
+            sets = replace(sets, counted=np.where(np.arange(mdp.n_pairs) == 2, 0, sets.counted))
         value, counts = rng.normal(size=mdp.n_states) * 3, counts_of(mdp)
         for rewards in (True, False):
             step = sets.solve_inner_problem(value, most=most, rewards=rewards)
@@ -121,6 +127,46 @@ def test_nature_chooses_the_extreme_law_of_each_set(known: bool, most: bool) -> 
                 assert laws[pair].sum() == pytest.approx(1, rel=1e-12)
                 off = 1 if most else -1
                 assert off * (step.bound[pair] - attained) >= -1e-13
+
+
+def test_what_is_certain_is_rounded_outward() -> None:
+    """Rows that nobody counted, beside fractions: large numbers, small ones and the smallest."""
+    mdp, rng = model(0), np.random.default_rng(0)
+    table = mdp.table.with_reward(mdp.table.gain * 10**6 + 1, mdp.table.gain_denominator * 3)
+    seen = {"observations": mdp.observations, "episodes": mdp.episodes}
+    for each in (mdp, mdp.with_(table=table, **seen)):
+        sets = RowSets.of(each, 0.05, (-1, 10**6))
+        sets = replace(sets, counted=0 * sets.counted)
+        rows = oracle.rows_of(each)
+        for size in (0.0, 1.0, 1e6, 1e-310):
+            value = rng.normal(size=(30, each.n_states)) * size
+            for values, most, rewards in ((v, m, r) for v in value for m in (0, 1) for r in (0, 1)):
+                step = sets.solve_inner_problem(values, most=bool(most), rewards=bool(rewards))
+                whole = float(abs(values).max()) + rewards * float(abs(each.reward).max() + 10**6)
+                for bound, (_, _, r, law) in zip(step.bound.tolist(), rows, strict=True):
+                    later = F(9, 10) * sum(p * F(float(values[t])) for t, p in law.items())
+                    wide = (F(bound) - later - rewards * r) * (1 if most else -1)
+                    assert 0 <= wide <= F(1e-14 * whole) + F(1, 2**990)
+
+
+def test_radii_are_rounded_up() -> None:
+    """Beside intervals of more digits: of long rows, of one outcome, and of many states."""
+    flint.ctx.prec, before = 300, flint.ctx.prec
+    rng = np.random.default_rng(0)
+    for size, states, doubt in ((1, 1000, 0.5), (1, 3, 1e-9), (3, 3, 0.05), (40, 60, 0.3)):
+        for n in (1, 7, 1000, 10**6, 10**9):
+            counts = rng.multinomial(n, rng.dirichlet(np.ones(size)))
+            counts = counts[counts > 0]
+            row = np.zeros(len(counts), dtype=int)
+            (found,) = _compute_radii(counts / n, row, np.array([float(n)]), states, doubt).tolist()
+            part, whole = flint.arb(flint.fmpq(1, states)), flint.arb(n)
+            terms = [flint.arb(n + 1).lgamma(), -flint.arb(doubt).log()]
+            for c in map(flint.arb, counts.tolist()):
+                terms += [c * (c / whole).log(), part.lgamma(), -(c + part).lgamma()]
+            exact = sum(terms, flint.arb(0)) / whole
+            size_of_terms = sum(abs(float(term)) for term in terms)
+            assert exact <= found <= exact + (len(counts) + 66) * 2.0**-53 * size_of_terms / n
+    flint.ctx.prec = before
 
 
 def test_laws_within_a_set_are_no_more_extreme() -> None:
@@ -174,6 +220,29 @@ def test_means_of_rewards_are_those_of_coins() -> None:
     assert flat.reward[0].tolist() == flat.reward[1].tolist() == [0] * mdp.n_pairs
 
 
+def test_a_mean_beyond_the_range_by_rounding_is_the_end_of_the_range() -> None:
+    mdp = model(0)
+    sets = RowSets.of(mdp, 0.05, (0, 1))
+    pair = int(mdp.reward.argmax())
+    most = float(mdp.reward[pair])
+    at, beyond = (replace(sets, rewards=(0.0, end)) for end in (most, np.nextafter(most, 0)))
+    low, high = beyond.reward
+    assert low[pair] == pytest.approx(at.reward[0][pair], rel=1e-9)
+    assert low[pair] < 0.9 * most
+    assert high[pair] == pytest.approx(most, rel=1e-9)
+
+
+def test_known_rewards_are_those_of_the_entries_counted() -> None:
+    """The end `a` comes before the others; one of the pairs was seen once."""
+    rows: Any = [(0, "b", "x", 2, "c"), (0, "c", "x", 3, "a"), (1, "b", "y", 4, "b")]
+    rows += [(1, "b", "x", 5, "a"), (2, "b", "x", 2, "c"), (2, "c", "x", 3, "a")]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
+    assert mdp.terminal.tolist() == [True, False, False]
+    sets = RowSets.of(mdp, 0.05, "known")
+    assert sets.counts.toarray().tolist() == [[1, 0, 2], [0, 1, 0], [2, 0, 0]]
+    assert sets.gains.tolist() == [5, 2, 4, 3]
+
+
 def test_the_greatest_mean_of_a_coin() -> None:
     mean, edge = np.array([0.0, 0.25, 0.9, 1.0, 0.5]), np.array([0.5, 0.1, 2.0, 0.3, 0.0])
     found = _bound_mean_above(mean, edge)
@@ -184,6 +253,10 @@ def test_the_greatest_mean_of_a_coin() -> None:
     assert 0.5 <= found[4] < 0.5 + 1e-5
     assert (found <= 1).all()
     assert found[0] >= 1 - exp(-0.5)
+    for edge in (1e-15, 1e-13, 1e-9, 1e-3, 3.0):
+        for mean in (np.zeros(1), np.full(1, 1e-12)):
+            (bound,) = _bound_mean_above(mean, np.array([edge])).tolist()
+            assert bound >= -expm1(-edge)
 
 
 def test_a_start_that_was_counted_is_a_row_of_its_own() -> None:
@@ -203,6 +276,12 @@ def test_a_start_that_was_counted_is_a_row_of_its_own() -> None:
     low, high = (given.at_start(value, most=most) for most in (False, True))
     assert low < 1 / 3 < high
     assert high - low < 1e-14
+    rng = np.random.default_rng(0)
+    for values in rng.normal(size=(40, 4)) * 10.0 ** rng.integers(-9, 9, size=(40, 1)):
+        low, high = (given.at_start(values, most=most) for most in (False, True))
+        exact = F(float(values[0])) / 3 + F(float(values[1])) * 2 / 3
+        assert F(low) <= exact <= F(high)
+        assert high - low <= 20 * 2.0**-53 * abs(values).max()
 
 
 def test_what_one_step_may_earn() -> None:
@@ -211,6 +290,15 @@ def test_what_one_step_may_earn() -> None:
     assert RowSets.of(mdp, 0.05, (-1.5, 3)).of_a_step == (-1.5, 3)
     costs = mdp.with_(sense="min")
     assert RowSets.of(costs, 0.05, (-1.5, 3)).rewards == (-3, 1.5)
+    untaken = replace(RowSets.of(mdp, 0.05, (0, 1)), counted=np.zeros(mdp.n_pairs))
+    assert mdp.reward.max() == 1
+    narrow = replace(untaken, rewards=(0.1, 0.2))
+    assert narrow.of_a_step == (0, 1)
+    one = MDP.from_transitions(pd.DataFrame([(0, 0, 0, 1, 0)], columns=NAMES), discount="1/2")
+    assert not one.terminal.any()
+    assert RowSets.of(one, 0.05, (0.5, 2)).of_a_step == (0, 2)
+    costs = one.with_(sense="min")
+    assert RowSets.of(costs, 0.05, (0.5, 2)).of_a_step == (-2, 0)
     known = model(0, rewards="decided")
     gains = known.table.compute_gains()[known.observations[known.table.pair] > 0]
     assert RowSets.of(known, 0.05, "known").rewards == (gains.min(), gains.max())
