@@ -136,6 +136,4 @@ def compute_tie_gaps(best: PolicyChain, known: BoundedVector) -> Floats:
     taken = np.add.reduceat(best.weights * each, mdp.pair_offsets[:-1])
     moved = best.discounted.solve(np.where(counted, taken, 0.0))
     later = np.maximum(moved.value, 0.0) + moved.error
-    return np.asarray(
-        (each + mdp.discount * (mdp.transition @ later) + later[mdp.pair_state]) * SLACK
-    )
+    return np.asarray(each + mdp.discount * (mdp.transition @ later) + later[mdp.pair_state])

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from fractions import Fraction as F
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -483,6 +484,7 @@ def test_what_cannot_be_seen_is_told_from_what_was_not_learned() -> None:
     assert (facts["representation"], facts["rows"]) == (None, None)
     assert "representation" not in lines
     assert audit.report(explain=False).notes == []
+    assert "because it cannot see" not in str(audit)
     whole = audit_of(audit.mdp, [0, 1, 0, 0, 0])
     assert whole.representation is None
     assert module.UNEXPLAINED not in whole.message()
@@ -576,10 +578,27 @@ def test_cells_gather_the_times(seed: int) -> None:
         own = by_label[cell["state"]]
         assert cell["times"] == len(own)
         assert cell["cost"] == pytest.approx(sum(each.cost for each in own))
+        assert cell["expected_visits"] == pytest.approx(sum(each.expected_visits for each in own))
         assert {*cell["optimal"]} == {action for each in own for action in each.optimal}
     costs = [cell["cost"] for cell in audit.cells]
     assert costs == sorted(costs, reverse=True)
     assert sum(costs) == pytest.approx(float(audit), abs=1e-12)
+    report, most = audit.report(), len(audit.cells)
+    table = report.tables["cells"]
+    assert [row["state"] for row in table.rows] == [cell["state"] for cell in audit.cells]
+    assert table.first == 10
+    shown = {name: report.facts[name] for name in ("cells", "disagreements")}
+    assert [len(each.value) for each in shown.values()] == [most, len(audit.disagreements)]
+    assert [each.text for each in shown.values()] == [None, None]
+    assert len(audit._describe_costliest(most)) == most
+    assert len(audit._describe_costliest(most - 1)) == most
+
+
+def test_a_relative_regret_is_not_shown_without_an_optimum() -> None:
+    for feasible, text in ((False, None), (True, 0.5)):
+        audit: Any = SimpleNamespace(relative_regret=0.5, feasible=feasible)
+        shown = module.Audit._show_relative_regret(audit)
+        assert (shown.value, shown.text) == (0.5, text)
 
 
 def test_a_policy_that_reads_the_time_has_no_cells() -> None:

@@ -35,6 +35,24 @@ def test_the_criterion_is_the_one_that_is_asked_for() -> None:
     assert check(mdp, [1, 0, 0]).regret.at_start.value == 6
 
 
+def test_a_policy_that_is_named_belongs_to_the_criterion() -> None:
+    """5 at once are worth more than 1 in each step at discount 1/2, but not in the long run."""
+    rows: Any = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 2, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 1)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    assert check(mdp, "optimal").chain.pairs.tolist() == [0, 2, 3]
+    average = check(mdp, "optimal", criterion="average")
+    assert average.chain.pairs.tolist() == [1, 2, 3]
+    assert average.regret.at_start.value == 0
+
+
+def test_an_unknown_kind_of_interval_is_refused() -> None:
+    mdp = estimated(recorded(np.random.default_rng(0), 20))
+    kind: Any = "bootstrap"
+    with pytest.raises(ModelError, match="unknown kind of interval 'bootstrap'") as refused:
+        check(mdp, POLICY, confidence=0.9, by=kind)
+    assert refused.value.where == "by"
+
+
 def test_options_that_do_not_go_together_are_refused() -> None:
     mdp = model()
     refused: list[tuple[dict[str, Any], str]] = [

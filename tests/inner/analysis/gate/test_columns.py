@@ -506,6 +506,22 @@ def test_relaxations_and_choices_of_endless_models_hold_the_exact_values() -> No
                 if not short.any() and bound < inf:
                     exact = worth[tuple(taken.tolist())]
                     assert exact == pytest.approx(float(bound), abs=1e-9)
+            pairs_of_nodes = rows._find_allowed_pairs(nodes)
+            for place in np.flatnonzero(upper < inf).tolist():
+                # How often the relaxation's policy takes each action of a row, where it comes to.
+                node, pairs = nodes[place], np.flatnonzero(pairs_of_nodes[:, place])
+                own_pairs = pairs[rows._solve_pairs(pairs).pairs]
+                law = oracle.rows_of(mdp, own_pairs.tolist())
+                met, before = {s for s, p in mdp.start if p}, set[int]()
+                while met != before:
+                    before = set(met)
+                    met |= {t for s, _, _, row in law if s in before for t in row}
+                times = np.zeros(node.shape, dtype=int)
+                for s in met:
+                    times[rows.key[s], law[s][1]] += bool(rows.free[s])
+                most = [max(np.flatnonzero(own), key=times[k].item) for k, own in enumerate(node)]
+                assert choice[place].tolist() == most
+                assert lost[place].tolist() == [sum(each) - max(each) for each in times.tolist()]
             values = rows.evaluate_choices(np.array([*worth]))
             for exact, value, error in zip(worth.values(), values.value, values.error, strict=True):
                 assert exact == value or abs(F(float(value)) - exact) <= F(float(error))
@@ -524,3 +540,27 @@ def test_a_start_that_may_mix_infinities_is_refused() -> None:
     same = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], 1)
     both = same.with_(start={0: "1/2", 1: "1/2"})
     assert best_policy(both, ()).value.value == inf
+
+
+def test_starts_may_be_compared_unless_some_policy_may_mix_infinities() -> None:
+    """One start alone, or a goal, may be; the values of all states are proven for comparison."""
+    refused = 0
+    for seed in range(16):
+        mdp = next(endless(seed))
+        start = {0: F(1, 2), 1: F(1, 2)} if seed % 3 else {0: F(1, 3), 2: F(1, 3), 3: F(1, 3)}
+        mdp = mdp.with_(start=start)
+        if not mdp.ends.has_improper_policy:
+            continue
+        ends = [certify(mdp.with_(sense=sense)).value for sense in ("max", "min")]
+        best, worst = (
+            {s for s in start if each[s] == x} for each, x in zip(ends, (inf, -inf), strict=True)
+        )
+        if best and worst and len(best | worst) > 1:
+            refused += 1
+            with pytest.raises(ModelError, match="from one state of the start"):
+                EndlessRows(mdp, ("row",))
+        else:
+            EndlessRows(mdp, ("row",))
+        EndlessRows(mdp.until("goal"), ("row",))
+        EndlessRows(mdp.with_(start=0), ("row",))
+    assert refused > 1

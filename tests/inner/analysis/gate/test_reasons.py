@@ -1,5 +1,6 @@
 """Where a policy loses what it loses, and errors of a Q-table, beside loops in fractions."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 from math import inf, sqrt
 from typing import Any
@@ -18,6 +19,7 @@ from exact_mdp.analysis.gate.reasons import (
     q_error,
 )
 from exact_mdp.analysis.gate.regret import policy_regret
+from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.claims import Status
 from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 
@@ -97,6 +99,38 @@ def test_visits_are_found_in_rationals_where_floats_have_few_digits(
     assert np.isnan(find_policy_disagreements(chain, bounded)[0][chain.reached]).all()
 
 
+def test_visits_in_floats_count_if_they_are_right_to_2_to_the_40(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mdp = small_model(1, "1/2")
+    chain = PolicyChain.of(mdp, given(random_policy(mdp, 1)))
+    exact, bounded = (policy_regret(chain, exact=each) for each in (True, False))
+    wanted, _ = find_policy_disagreements(chain, exact)
+    near = wanted + np.where(wanted == wanted.max(), 2 - wanted.max(), 0.0)  # the greatest is 2
+    for error, kept in ((2.0**-39, True), (2.0**-38.5, False)):
+        visits = BoundedVector(value=near, error=np.full(mdp.n_states, error))
+        monkeypatch.setattr(PolicyEquations, "visits", property(lambda _, visits=visits: visits))
+        found = find_policy_disagreements(chain, exact)[0]
+        assert found == pytest.approx(near if kept else wanted, rel=1e-14)
+        assert find_policy_disagreements(chain, bounded)[0].tolist() == near.tolist()
+
+
+def test_what_is_not_met_costs_nothing_and_comes_in_order_of_its_gap() -> None:
+    """Gaps may be infinite there, and of actions that are not taken."""
+    rows: Any = [(s, a, [(1, 6, s % 3 * a)]) for s in range(5) for a in (0, 1)]
+    rows += [(5, 0, [(1, 5, 1)]), (5, 1, [(1, 6, 0)]), (5, 2, [(1, 5, 1)])]
+    rows += [(6, 0, [(1, 6, 0)]), (7, 0, [(1, 7, -1)]), (4, 2, [(1, 7, 0)])]
+    mdp = MDP.from_outcomes(rows, start=6)
+    for last, first in (([1, 1, 1], [(5, inf), (2, 2), (1, 1)]), ([2, 0, 0], [(4, inf), (2, 2)])):
+        chain = PolicyChain.of(mdp, [0, 0, 0, 0, last[0], last[1], 0, 0])
+        _, wrong = find_policy_disagreements(chain, policy_regret(chain))
+        assert [(each.state, each.gap) for each in wrong][: len(first)] == first
+        assert [each.cost for each in wrong] == [0] * len(wrong)
+        assert {each.expected_visits for each in wrong} == {0}
+    known = policy_regret(PolicyChain.of(mdp.with_(start=3), [0, 0, 0, 0, 1, 0, 0, 0]))
+    assert known.at_start.value == 0
+
+
 def test_names_of_actions_in_a_state() -> None:
     rows: Any = [(0, a, [(1, 1, a)]) for a in range(6)] + [(1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows, actions=[*"abcdef"])
@@ -160,6 +194,21 @@ def test_errors_of_a_table_are_those_of_states_with_a_choice() -> None:
         assert found.promised == pytest.approx(pick(said[pair] for pair in mdp.pairs_of(start)))
 
 
+def test_a_table_may_lack_actions_and_hold_numbers_that_no_float_holds() -> None:
+    rows: Any = [(0, a, [(1, 1, a)]) for a in range(3)] + [(1, 1, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, actions=["a", "b", "c"])
+    huge = F(10) ** 400
+    values = np.array([[huge, F(1, 2)], [F(0), F(0)]], dtype=object)
+    rule = np.array([0, 0])
+    policy = Policy(space=mdp.space, actions=("c", "a"), rule=rule, values=values)
+    found = q_error(mdp, policy, np.array([1.0, 0, 3, 0]), np.zeros(4))
+    assert found is not None
+    assert (found.largest, found.mean, found.root_mean_square) == (0.5, -0.5, 0.5)
+    assert found.where == mdp.where(0)
+    assert found.visited == 0
+    assert found.promised == inf
+
+
 def seen_in_rows(seed: int) -> MDP:
     """Two rows that look alike at two times, of which a policy that reads `row` is to be told."""
     rng, rows = np.random.default_rng(seed), list[Any]()
@@ -215,6 +264,8 @@ def test_what_columns_cannot_express_and_what_was_learned_wrongly() -> None:
                 changed[k] = mdp.actions.index(row["best"])
                 assert row["learned"] == mdp.actions[rule[k]]
                 assert row["gain"] == pytest.approx(float(worth(changed) - worth(rule)))
+            open_ = replace(why, best=replace(why.best, proven=False, upper_bound=-7.5))
+            assert open_.uncertainty == abs(-7.5 - why.best.value.value)
             facts = why.list_facts()["representation"].value
             assert facts["loss"] == float(why.loss.value)
             assert facts["learning_error"] == float(why.learning_error.value)

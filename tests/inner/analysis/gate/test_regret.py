@@ -22,7 +22,7 @@ from exact_mdp.analysis.gate.regret import (
     limit_of,
     policy_regret,
 )
-from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.bounds.bounds import Bounds, bound_optimal_values
 from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.claims import Certified, Claim
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
@@ -138,18 +138,28 @@ def test_who_waits_is_wrong_though_no_gap_says_so() -> None:
         (0, 1, [(1, 2, 0)]),
         (1, 0, [(1, 1, 0)]),
         (1, 1, [(1, 4, 4)]),
+        (1, 2, [(F(1, 2), 4, 0), (F(1, 2), 5, 9)]),
         (2, 0, [(1, 2, 1)]),
         (2, 1, [(1, 0, 0)]),
         (3, 0, [(1, 3, 0)]),
         (3, 1, [(1, 2, 0)]),
         (4, 0, [(1, 4, 0)]),
+        (5, 0, [(1, 5, -1)]),
+        (6, 0, [(1, 6, 0)]),
+        (6, 1, [(1, 2, 0)]),
     ]
-    mdp = MDP.from_outcomes(rows, start={0: F(1, 2), 1: F(1, 2)})
-    lost = policy_regret(PolicyChain.of(mdp, [0, 0, 1, 0, 0]))
-    wrong = [True, False, True, False, False, False, True, False, False]
-    assert (~lost.optimal_pairs).tolist() == wrong
-    assert lost.gap.tolist() == [inf, 0, 0, 0, 0, 0, 0, 0, 0]
-    assert lost.by_state.tolist() == [inf, 4, inf, inf, 0]
+    gap = [inf, 0, 0, 0, inf, *[0] * 8]
+    for turn in (False, True):  # so that the classes have other numbers
+        place = [6 - s if turn else s for s in range(7)]
+        named = [(place[s], a, [(p, place[t], r) for p, t, r in row]) for s, a, row in rows]
+        mdp = MDP.from_outcomes(named, start={place[0]: F(1, 2), place[1]: F(1, 2)})
+        taken = np.zeros(7, dtype=int)
+        taken[place[2]] = 1
+        lost = policy_regret(PolicyChain.of(mdp, taken))
+        each = [mdp.pair(place[s], a) for s, a, _ in rows]
+        assert lost.gap[each].tolist() == gap
+        assert np.flatnonzero(~lost.optimal_pairs[each]).tolist() == [0, 2, 4, 7, 11]
+        assert lost.by_state[place].tolist() == [inf, 4, inf, inf, 0, 0, inf]
 
 
 def test_a_regret_that_rounding_explains_is_forgiven_where_some_policies_never_end(
@@ -220,7 +230,9 @@ def test_bounds_of_the_optimum_are_made_narrow_if_the_solver_stopped_early(
         mdp = small_model(seed, "9/10").maximised
         best, _, _ = exactly(mdp, random_policy(mdp, seed))
         solved = solve(mdp)
-        for off in (0.0, 1e-6):
+        far = abs(solved.value).max()
+        wide = bound_optimal_values(mdp, solved.value - 1e-6 * far * ~mdp.terminal).error / far
+        for off in (0.0, 1e-6 * far * 0.75 * 2.0**-36 / wide, 1e-6 * far):
             early = replace(solved, value=solved.value - off * ~mdp.terminal)
             calls = list[int]()
 
@@ -234,7 +246,7 @@ def test_bounds_of_the_optimum_are_made_narrow_if_the_solver_stopped_early(
             bounds = bounded_optimum(replace(mdp))
             assert bounds.error <= 2.0**-36 * abs(bounds.value).max()
             assert bounds.value == pytest.approx([*map(float, best)], rel=1e-10, abs=1e-10)
-            assert bool(calls) == bool(off)
+            assert bool(calls) == (off > 1e-7 * far)
 
 
 def test_bounds_of_actions_hold_their_exact_gains() -> None:
@@ -435,6 +447,9 @@ def test_few_transitions_and_short_cycles_are_cheap(monkeypatch: pytest.MonkeyPa
         False,
         True,
     )
+    for n in (200, 201):
+        circle: Any = [(s, 0, [(F(1, 2), (s + 1) % n, 1), (F(1, 2), n, 0)]) for s in range(n)]
+        assert is_cheap_to_certify(MDP.from_outcomes([*circle, (n, 0, [(1, n, 0)])])) == (n == 200)
     falling = small_model(0, falling=True)
     assert is_cheap_to_certify(falling, 1)
     assert not is_cheap_to_certify(falling, 0)

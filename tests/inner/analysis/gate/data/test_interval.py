@@ -145,3 +145,18 @@ def test_an_interval_keeps_breaks_or_leaves_open_a_limit() -> None:
     assert interval().report().notes == ["assumed: one", "assumed: two"]
     (row,) = interval().frame().to_dict("records")
     assert row == {"low": 0.25, "high": 0.5, "confidence": 0.95, "by": "robust", "a": 1}
+
+
+def test_a_state_that_was_seen_to_stay_is_no_end_of_the_records() -> None:
+    rows: Any = [(0, "b", "x", 1, "a"), (0, "a", "x", 0, "a"), (1, "b", "x", 1, "c")]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount=1)
+    assert mdp.terminal.tolist() == [True, False, True]
+    assert find_recorded_ends(mdp).tolist() == [False, False, True]
+
+
+def test_actions_that_are_not_offered_are_named_by_state() -> None:
+    """Action y of state a, although state b has action x."""
+    rows: Any = [(0, "a", "x", 1, "b"), (0, "b", "x", 1, None), (1, "b", "y", 1, None)]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount=1)
+    said = [each for each in of_process(mdp) if "not available" in each]
+    assert said == ["actions that nobody took are not available: (state a: y)"]

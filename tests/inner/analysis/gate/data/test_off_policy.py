@@ -285,3 +285,13 @@ def test_one_episode_is_read_to_its_end() -> None:
         record = transitions.TransitionRecord(only, None)
         w, returns, steps, cut, _ = _read_trajectories(mdp, ratio, record, None)
         assert (w.tolist(), steps.tolist(), cut.tolist()) == ([0.25], [2], [False])
+
+
+def test_an_end_that_records_name_is_no_state_that_was_only_entered() -> None:
+    rows: Any = [(0, "a", "x", 1, None), (1, "a", "x", 1, "a"), (1, "a", "x", 0, None)]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
+    frame = pd.DataFrame([(*row[:4], row[4] or "end") for row in rows], columns=NAMES)
+    record = transitions.TransitionRecord(frame, None)
+    *_, cut, ended = _read_trajectories(mdp, np.ones((1, mdp.n_pairs)), record, None)
+    assert cut.tolist() == [False, False]
+    assert ended == 0

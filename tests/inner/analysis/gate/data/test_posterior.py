@@ -65,6 +65,15 @@ def test_the_mean_of_rows_is_counts_and_the_prior_over_their_sum() -> None:
         assert models.live.all()
 
 
+def test_a_terminal_state_that_was_seen_to_stay_may_go_on() -> None:
+    rows: Any = [(0, "b", "x", 1, "a"), (0, "a", "x", 0, "a"), (1, "b", "x", 1, "c")]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount=1)
+    assert mdp.terminal.tolist() == [True, False, True]
+    models = sample_models(mdp, known_of(mdp), 1.0, Mean(), 2)
+    assert models.structure.ended.tolist() == [False, False, True]
+    assert models.live.tolist() == [[True, True, False]] * 2
+
+
 def test_draws_differ_and_are_laws() -> None:
     mdp = estimated(recorded(np.random.default_rng(0), 30))
     models = sample_models(mdp, known_of(mdp), 1.0, np.random.default_rng(0), 400)
