@@ -278,3 +278,12 @@ def test_what_is_wrong_in_states_that_are_not_reached_does_not_explain_a_loss() 
         lost = np.array([inf, inf, inf, 0.0])
         blamed = to_blame(PolicyChain.of(mdp, [0, 0, 1, 0]), proven_optimum(mdp), lost)
         assert np.flatnonzero(blamed).tolist() == wanted
+
+
+def test_nobody_gives_up_a_finite_value() -> None:
+    """State 1 may lead to 2 as well as to the end; it is in 2, not met, that all is lost."""
+    rows: Any = [(0, 0, [(1, 0, 0)]), (1, 0, [(1, 0, 0)]), (1, 1, [(1, 2, 0)])]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 0, 0)]), (2, 1, [(1, 2, -1)])], start=0)
+    lost = np.array([0.0, inf, inf])
+    blamed = to_blame(PolicyChain.of(mdp, [0, 1, 1]), proven_optimum(mdp), lost)
+    assert np.flatnonzero(blamed).tolist() == [4]

@@ -96,6 +96,8 @@ def test_nature_chooses_the_extreme_law_of_each_set(known: bool, most: bool) -> 
         value, counts = rng.normal(size=mdp.n_states) * 3, counts_of(mdp)
         for rewards in (True, False):
             step = sets.solve_inner_problem(value, most=most, rewards=rewards)
+            if rewards:
+                assert np.array_equal(sets.solve_inner_problem(value, most=most).bound, step.bound)
             laws, earned = step.piece()
             laws = laws.toarray()
             gain = {}
@@ -146,7 +148,7 @@ def test_what_is_certain_is_rounded_outward() -> None:
                 for bound, (_, _, r, law) in zip(step.bound.tolist(), rows, strict=True):
                     later = F(9, 10) * sum(p * F(float(values[t])) for t, p in law.items())
                     wide = (F(bound) - later - rewards * r) * (1 if most else -1)
-                    assert 0 <= wide <= F(1e-14 * whole) + F(1, 2**990)
+                    assert 0 <= wide <= F(1e-14 * whole) + F(whole > 0, 2**990)
 
 
 def test_radii_are_rounded_up() -> None:
@@ -241,6 +243,7 @@ def test_known_rewards_are_those_of_the_entries_counted() -> None:
     sets = RowSets.of(mdp, 0.05, "known")
     assert sets.counts.toarray().tolist() == [[1, 0, 2], [0, 1, 0], [2, 0, 0]]
     assert sets.gains.tolist() == [5, 2, 4, 3]
+    assert sets.rewards == (2, 5)
 
 
 def test_the_greatest_mean_of_a_coin() -> None:
@@ -260,18 +263,20 @@ def test_the_greatest_mean_of_a_coin() -> None:
 
 
 def test_a_start_that_was_counted_is_a_row_of_its_own() -> None:
-    mdp = model(0)
-    sets = RowSets.of(mdp, 0.05, (0, 1))
+    rows = [(n, "abc"[n % 5 // 2], 0, 1, None) for n in range(20)]
+    several = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
     value = np.array([3.0, -1.0, 2.0, 0.5])
-    begun = mdp.start_distribution
-    assert mdp.episodes == 20
-    radius = radius_of(begun * 20, sets.share)
-    for most in (True, False):
-        p = np.append(begun, 0.0)
-        x = np.append(value, value.max() if most else value.min())
-        keep = (p > 0) | (np.arange(5) == 4)
-        wanted = extreme(p[keep], x[keep], radius, most)
-        assert sets.at_start(value, most=most) == pytest.approx(wanted, rel=1e-7)
+    for mdp in (several, model(0)):
+        sets = RowSets.of(mdp, 0.05, (0, 1))
+        begun = mdp.start_distribution
+        assert mdp.episodes == 20
+        radius = radius_of(begun * 20, sets.share)
+        for most in (True, False):
+            p = np.append(begun, 0.0)
+            x = np.append(value, value.max() if most else value.min())
+            keep = (p > 0) | (np.arange(5) == 4)
+            wanted = extreme(p[keep], x[keep], radius, most)
+            assert sets.at_start(value, most=most) == pytest.approx(wanted, rel=1e-7)
     given = RowSets.of(mdp.with_(start={0: "1/3", 1: "2/3"}), 0.05, (0, 1))
     low, high = (given.at_start(value, most=most) for most in (False, True))
     assert low < 1 / 3 < high
