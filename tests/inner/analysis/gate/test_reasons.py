@@ -77,6 +77,9 @@ def test_waiting_for_ever_is_charged_to_those_who_wait() -> None:
     assert visits[:2].tolist() == [1, inf]
     assert (only.state, only.gap, only.cost, only.expected_visits) == (1, 4, 2, inf)
     assert only.optimal == ("1",)
+    seldom = PolicyChain.of(mdp.with_(start={0: F(1, 8), 2: F(7, 8)}), [0, 0, 0])
+    _, (only,) = find_policy_disagreements(seldom, policy_regret(seldom))
+    assert (only.gap, only.cost) == (4, 0.25)
     elsewhere = PolicyChain.of(mdp.with_(start=2), [0, 0, 0])
     visits, (only,) = find_policy_disagreements(elsewhere, policy_regret(elsewhere))
     assert (only.cost, only.expected_visits) == (0, 0)
@@ -127,8 +130,10 @@ def test_what_is_not_met_costs_nothing_and_comes_in_order_of_its_gap() -> None:
         assert [(each.state, each.gap) for each in wrong][: len(first)] == first
         assert [each.cost for each in wrong] == [0] * len(wrong)
         assert {each.expected_visits for each in wrong} == {0}
-    known = policy_regret(PolicyChain.of(mdp.with_(start=3), [0, 0, 0, 0, 1, 0, 0, 0]))
-    assert known.at_start.value == 0
+    one = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 0, 0)])], "1/2")
+    alone = PolicyChain.of(one, [1])
+    _, (only,) = find_policy_disagreements(alone, policy_regret(alone))
+    assert (only.gap, only.expected_visits, only.cost) == (1, 2, 2)
 
 
 def test_names_of_actions_in_a_state() -> None:
@@ -269,6 +274,22 @@ def test_what_columns_cannot_express_and_what_was_learned_wrongly() -> None:
             facts = why.list_facts()["representation"].value
             assert facts["loss"] == float(why.loss.value)
             assert facts["learning_error"] == float(why.learning_error.value)
+
+
+def test_rows_change_to_actions_that_all_their_states_offer() -> None:
+    """State 0 does not offer action 2, so that row 0 has no such change; nobody meets row 2."""
+    columns = (Column(name="row", size=3), Column(name="bed", size=2))
+    rows: Any = [(s, a, [(1, 6, a)]) for s in range(6) for a in range(3) if (s, a) != (0, 2)]
+    mdp = MDP.from_outcomes([*rows, (6, 0, [(1, 6, 0)])], start=dict.fromkeys(range(4), "1/4"))
+    mdp = mdp.with_(space=StateSpace(columns=columns, extra=("end",)))
+    policy = Policy(
+        space=StateSpace(columns=columns[:1]), actions=mdp.actions, rule=np.array([0, 1, 0])
+    )
+    why = Representation.of(mdp, policy, policy_regret(PolicyChain.of(mdp, policy)))
+    assert why.rows == (
+        {"row": "row 0", "learned": "0", "best": "1", "gain": pytest.approx(0.5)},
+        {"row": "row 1", "learned": "1", "best": "2", "gain": pytest.approx(0.5)},
+    )
 
 
 def test_a_mixture_has_no_rows_to_be_changed() -> None:
