@@ -287,3 +287,12 @@ def test_nobody_gives_up_a_finite_value() -> None:
     lost = np.array([0.0, inf, inf])
     blamed = to_blame(PolicyChain.of(mdp, [0, 1, 1]), proven_optimum(mdp), lost)
     assert np.flatnonzero(blamed).tolist() == [4]
+
+
+def test_below_discount_1_all_optimal_actions_attain_the_optimum() -> None:
+    """To stay in state 0 and to leave for state 1 earn the same."""
+    for ends in ((0, 1), (1, 0)):
+        rows: Any = [(0, a, [(1, to, 1)]) for a, to in enumerate(ends)]
+        mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 1)])], "1/2")
+        proof = proven_optimum(mdp)
+        assert find_attaining_pairs(mdp, proof, np.array(proof.optimal_pairs), 0) == [0, 1]
