@@ -326,6 +326,19 @@ def test_the_search_ends_once_a_step_moves_little(monkeypatch: pytest.MonkeyPatc
         assert next(calls) == steps
 
 
+def test_stages_show_a_bar_on_a_terminal_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[dict[str, Any]]()
+
+    def counted(*ends: int, **how: Any) -> range:
+        asked.append(how)
+        return range(*ends)
+
+    monkeypatch.setattr(module.tqdm, "trange", counted)
+    mdp = model()
+    robust_bounds(RowSets.of(mdp, 0.05, (0, 1)), own_of(mdp, STAGES))
+    assert asked == [{"desc": "stages", "disable": None, "delay": 2}]
+
+
 def test_totals_are_rewards_over_what_the_discount_leaves() -> None:
     sets = RowSets.of(model(), 0.05, (-1, 2))
     assert _bound_totals(sets) == pytest.approx((-10, 20), rel=1e-5)
