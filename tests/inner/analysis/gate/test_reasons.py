@@ -279,7 +279,8 @@ def test_what_columns_cannot_express_and_what_was_learned_wrongly() -> None:
 def test_rows_change_to_actions_that_all_their_states_offer() -> None:
     """State 0 does not offer action 2, so that row 0 has no such change; nobody meets row 2."""
     columns = (Column(name="row", size=3), Column(name="bed", size=2))
-    rows: Any = [(s, a, [(1, 6, a)]) for s in range(6) for a in range(3) if (s, a) != (0, 2)]
+    pays = {(s, a): 9 if (s, a) == (1, 2) else a for s in range(6) for a in range(3)}
+    rows: Any = [(s, a, [(1, 6, pay)]) for (s, a), pay in pays.items() if (s, a) != (0, 2)]
     mdp = MDP.from_outcomes([*rows, (6, 0, [(1, 6, 0)])], start=dict.fromkeys(range(4), "1/4"))
     mdp = mdp.with_(space=StateSpace(columns=columns, extra=("end",)))
     policy = Policy(
