@@ -76,7 +76,7 @@ class Given:
     criterion : "total" or "average"
         What counts: the total reward, or the average reward per step in the long run, whatever the
         discount.
-    horizon : N, 1 to 1000000000
+    horizon : N, 0 to 1000000000
         Stop every episode after N steps, without a further reward.
     kind : "q", "policy" or "auto"
         What an array in a file is: a Q-table, or probabilities of actions.
