@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
+from cli_runner import run, strict
 from matplotlib.figure import Figure
 from picture_texts import legend_of, texts_of
 
@@ -161,6 +162,30 @@ def test_a_tornado_shows_the_policy_that_was_given() -> None:
         ax = bars.plot()
         assert said in ax.get_xlabel()
         assert ax.lines[0].get_xdata()[0] == bars.today["fixed"].value
+
+
+def test_a_tornado_shows_the_incremental_net_benefit_of_two_strategies(tmp_path: Path) -> None:
+    """At both ends of each range it is what `evaluate` finds, also on the command line."""
+    spans = {"gain": (0, 2), "price": (1, 9)}
+
+    def net(at):
+        earned = [0, 4 * at["gain"] - at["price"], 8 * at["gain"] - 20]
+        return MDP.from_arrays([[[0, 1], [0, 1]]] * 3, [earned, [0] * 3], 0)
+
+    model = Family(parameters={"gain": 1, "price": 5}, build=net)
+    bars = tornado(model, policy=[1, 0], against=[2, 0], ranges=spans)
+    for row in bars.frame().to_dict("records"):
+        for end in ("low", "high"):
+            mdp = model.at({row["parameter"]: spans[row["parameter"]][end == "high"]})
+            one, other = (evaluate(mdp, policy).start_value for policy in ([1, 0], [2, 0]))
+            assert row[f"difference_{end}"] == pytest.approx(one - other)
+    assert bars.today["difference"].value == (4 - 5) - (8 - 20)
+    path = tmp_path / "bets.json"
+    net({"gain": 1, "price": 5}).save(path)
+    both = ("--policy", "always:1", "--against", "always:2", "--parameter", "reward.-1")
+    found = strict(run("tornado", str(path), *both, "--json").out)
+    assert found["difference"] == 11
+    assert [found["bars"][0][f"difference_{end}"] for end in ("low", "high")] == [10.8, 11.2]
 
 
 def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:
