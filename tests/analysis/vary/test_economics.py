@@ -15,6 +15,7 @@ from picture_texts import legend_of, texts_of
 
 from exact_mdp import (
     MDP,
+    CostEffectiveness,
     Family,
     ModelError,
     Parameter,
@@ -400,7 +401,14 @@ def test_without_draws_and_distributions_it_is_the_base_case() -> None:
     base = cost_effectiveness(MODEL, POLICIES)
     assert [base.effect.tolist(), base.cost.tolist()] == [[[0, 1, 2]], [[0, 5, 20]]]
     assert "base case" in repr(base)
-    assert base.evppi(10) == {}
+    with pytest.raises(ModelError, match="no parameter of the draws"):
+        base.evppi(10)
+    # Its numbers are bounded; those of draws, and those from elsewhere, are estimated.
+    claims = [base, CostEffectiveness.of({"a": 1}, {"a": 2})]
+    assert [each.claim for each in claims] == ["bounded", "estimated"]
+    errors = base.report().facts["error_bounds"]
+    assert errors == {"qaly": np.max(base.effect_error), "cost": np.max(base.cost_error)}
+    assert all(0 < error < 1e-12 for error in errors.values())
     certain = MODEL.at({})  # an MDP that has nothing to draw
     assert cost_effectiveness(certain, POLICIES).cost.tolist() == [[0, 5, 20]]
 
