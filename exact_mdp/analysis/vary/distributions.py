@@ -580,7 +580,8 @@ def uncertainty(
     stated : {name, beginning of names, or label of a row: settings}, DataFrame or file
         Settings describe a distribution, as at the top of `analysis.vary.distributions`, or are
         `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. Settings
-        must be the same for all entries of a row. A table is a sample of your own, with a column
+        must be the same for all entries of a row. Settings with a covariance have a name of their
+        own and list their parameters as `names`. A table is a sample of your own, with a column
         for each parameter that is drawn and a row for each draw. Or the name of a .toml file of
         settings; or [table, settings], where the settings are of parameters without a column.
     default : float, optional

@@ -135,8 +135,8 @@ class Tornado(Pictured):
     def frame(self, by: str | None = None) -> DataFrame:
         """Return one row for each parameter; values and regrets in units of reward.
 
-        The widest bar comes `by` default first: by "swing" of the optimum, by "fixed_swing" of the
-        policy held fixed, or, if it is compared with another, by "difference_swing".
+        Rows are in descending order of `by`: the "swing" of the optimum, the "fixed_swing" of the
+        policy held fixed or, by default if there is another policy, the "difference_swing".
         """
         spans, study = self.spans, self.table
         table = data_frame(

@@ -186,6 +186,9 @@ def test_a_tornado_shows_the_incremental_net_benefit_of_two_strategies(tmp_path:
     both = ("--policy", "always:1", "--against", "always:2", "--parameter", "reward.-1")
     found = strict(run("tornado", str(path), *both, "--json").out)
     assert found["difference"] == 11
+    np.save(tmp_path / "q.npy", [[0.0, 2.0, 1.0], [0.0, 0.0, 0.0]])
+    both = ("--policy", str(tmp_path / "q.npy"), "--kind", "q", *both[2:])
+    assert strict(run("tornado", str(path), *both, "--json").out)["difference"] == 11
     assert [found["bars"][0][f"difference_{end}"] for end in ("low", "high")] == [10.8, 11.2]
 
 
