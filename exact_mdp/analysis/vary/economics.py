@@ -79,8 +79,6 @@ class CostEffectiveness(Pictured):
     effect_error: Floats | float = 0.0  # (D, N)
     cost_error: Floats | float = 0.0
 
-    claim = Claim.ESTIMATED
-
     @classmethod
     def of(cls, cost: Any, effect: Any, parameters: Any = None) -> Self:
         """Return the analysis of costs and effects from elsewhere, such as another model's draws.
@@ -136,6 +134,13 @@ class CostEffectiveness(Pictured):
     def base_case(self) -> bool:
         """Whether nothing is drawn, so all numbers are for today's values."""
         return len(self.draws) == 1 and not self.uncertainty.parts
+
+    @property
+    def claim(self) -> Claim:
+        """Bounded for a base case that was computed here; estimated from draws or elsewhere."""
+        if self.base_case and self.seed is not None:
+            return Claim.BOUNDED
+        return Claim.ESTIMATED
 
     def __repr__(self) -> str:
         if self.base_case:
@@ -292,6 +297,7 @@ class CostEffectiveness(Pictured):
         count, assumed = len(self.draws), self.uncertainty
         facts = {
             "claim": self.claim,
+            **self._list_error_facts(),
             "draws": Shown(count, "none: the base case" if self.base_case else count),
             "seed": Shown(self.seed, None if self.base_case else self.seed),
             "effect": self.components[0],
@@ -308,6 +314,13 @@ class CostEffectiveness(Pictured):
             "evpi": Shown([each.value for each in self.evpi(grid)]),
         }
         return Report(title=repr(self), facts=facts, tables=tables)
+
+    def _list_error_facts(self) -> dict[str, Any]:
+        """Return the greatest errors of effect and cost in a base case; none in draws."""
+        if self.claim != Claim.BOUNDED:
+            return {}
+        errors = (float(np.max(each)) for each in (self.effect_error, self.cost_error))
+        return {"error_bounds": dict(zip(self.components, errors, strict=True))}
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""
