@@ -349,10 +349,10 @@ def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> tuple[list[Any]
                 column = columns[str(name)] = [zero] * len(gains)
             column[place] = number
             own.append(number)
-        key = tuple(map(id, own))
-        total = totals.get(key)
+        parts = tuple(map(id, own))
+        total = totals.get(parts)
         if total is None:
-            total = totals[key] = sum(own, zero)
+            total = totals[parts] = sum(own, zero)
         rewards[place] = total
     names.setdefault("float_rewards", floats)
     return rewards, {name: np.array(each, dtype=object) for name, each in columns.items()}
