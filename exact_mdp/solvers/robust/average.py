@@ -128,11 +128,13 @@ def _solve_nature(
     return value, share
 
 
-def _solve_bias(game: Game, number: Integers, asked: Inner, share: Floats) -> tuple[Floats, Floats]:
+def _solve_bias(
+    game: Game, number: Integers, asked: Inner, share: Floats, *, joined: bool = False
+) -> tuple[Floats, Floats]:
     """Return the h (S,) of both sides' choices, with g + h = r + P h, and the agent's shares (U,).
 
     `number` (S,) is the component of each state. Where one has several recurrent classes, the agent
-    goes to the one of greatest gain.
+    goes to the one of greatest gain, unless it was told so (`joined`) and underflow closes the way.
     """
     chain, earned = game.build_chain(asked.distributions, share)
     classes, states = Classes(chain), np.arange(len(number))
@@ -145,11 +147,11 @@ def _solve_bias(game: Game, number: Integers, asked: Inner, share: Floats) -> tu
     own = number[classes.base]
     order = np.lexsort((gain, own))
     best = order[np.flatnonzero(np.diff(own[order], append=-1))]
-    if len(best) < len(gain):
+    if len(best) < len(gain) and not joined:
         pairs, every = game.mdp.pair_offsets[:-1].copy(), np.ones(game.mdp.n_pairs, dtype=bool)
         pairs[game.live] = game.list_pairs(share)
         choose_nearer_pairs(PairGraph.of(game.mdp), np.isin(classes.label, best), every, pairs)
-        return _solve_bias(game, number, asked, game.take_pairs(pairs))
+        return _solve_bias(game, number, asked, game.take_pairs(pairs), joined=True)
     value = reward - gain[best][number] * steps
     # Only differences matter: h = 0 in the first state of each component.
     first = np.unique(number, return_index=True)[1]

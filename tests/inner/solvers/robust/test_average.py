@@ -244,3 +244,19 @@ def test_an_average_has_neither_a_target_nor_a_horizon(ask: Any) -> None:
     ):
         with pytest.raises(ModelError, match="an average reward per step has no"):
             call()
+
+
+@pytest.mark.parametrize("radius", [30, 2000])
+def test_a_way_that_floats_cannot_keep_open_has_no_bound(radius: int) -> None:
+    """Nature may leave e^-30 of a probability, or less than floats hold."""
+    rows = [
+        (0, 0, [(1, 0, 1)]),
+        (0, 1, [("1/2", 1, 0), ("1/2", 0, 0)]),
+        (1, 0, [(1, 1, 2)]),
+        (1, 1, [("1/2", 0, 0), ("1/2", 1, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows)
+    with pytest.raises(SolverError, match="cannot bound the error"):
+        solve_robust(mdp, Likelihood(radius=radius), criterion="average")
+    found = solve_robust(mdp, Likelihood(radius=radius), nature="best", criterion="average")
+    assert found.value == pytest.approx([2, 2], abs=1e-9)
