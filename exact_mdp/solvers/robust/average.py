@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
@@ -36,7 +35,12 @@ from exact_mdp.solvers.bounds.gains import RELATIVE_TOLERANCE, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem, select_rows
 from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.endless.chain import Classes
-from exact_mdp.solvers.endless.quotient import Quotient, build_quotient, choose_nearer_pairs
+from exact_mdp.solvers.endless.quotient import (
+    Quotient,
+    choose_nearer_pairs,
+    extract_components,
+    stop_in_components,
+)
 from exact_mdp.solvers.robust.game import Game, find_closed_pairs
 from exact_mdp.solvers.robust.sets import Ambiguity, Inner
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -217,10 +221,7 @@ class RobustAverages:
     @cached_property
     def _inside(self) -> Quotient:
         """The model of the components, with an end that none reaches."""
-        component, inside = self._components
-        chosen = component >= 0
-        new_state = np.where(chosen, np.cumsum(chosen) - 1, -1)
-        return build_quotient(self.given, np.flatnonzero(inside), new_state)
+        return extract_components(self.given, *self._components)
 
     def bound_gains(self, tol: float | None, max_iterations: int) -> Gains:
         """Return bounds on the gains of the components."""
@@ -245,11 +246,7 @@ class RobustAverages:
     def apply(self, gains: Gains) -> tuple[Quotient, Game]:
         """Return the model in which each component is a state to stop in, and its game."""
         component, inside = self._components
-        number, outside = component.copy(), component < 0
-        number[outside] = len(gains.low) + np.arange(int(outside.sum()))
-        stops = [(each, Fraction(gain)) for each, gain in enumerate(gains.middle.tolist())]
-        pairs = np.flatnonzero(self._taken & ~inside)
-        part = build_quotient(self.given, pairs, number, zero_rewards=True, stops=stops)
+        part = stop_in_components(self.given, component, self._taken & ~inside, gains.middle)
         return part, self._build_game(self._without_rewards, part)
 
     # ---- the way back ------------------------------------------------------------------------
