@@ -363,10 +363,8 @@ def robust_command(
         return _report_worst_point(given, any(boxed.values()))
     meaning = ROWS[require_known_name(set_kind, [*ROWS, BOX], "set", "--set-kind")]
     refuse_options(boxed, "rows on their own", "add --set-kind box, or give --radius instead")
-    averaged = {"--criterion average": is_average(given.criterion)}
-    refuse_options(averaged, "rows on their own", "add --set-kind box, or leave it out")
     size = exact(SETS[set_kind][1] if radius is None else radius, "radius")
-    result = exact_mdp.robust(given.mdp, set_kind, radius=size, policy=given.fixed)
+    result = exact_mdp.robust(given.mdp, set_kind, radius=size, **given.held)
     kind = Shown(set_kind, meaning.format(f"{float(size):.4g}"))
     return _report_with_policy(given, "robust", result.report(), set_kind=kind, radius=float(size))
 
