@@ -107,6 +107,7 @@ class CostEffectiveness(Pictured):
         >>> table["ICER"].tolist(), table["by"].tolist()
         ([nan, nan, 3000.0], ['', 'usual', ''])
         """
+        _require_same_index({"cost": cost, "effect": effect, "parameters": parameters})
         costs, effects = _read_table(cost, "cost"), _read_table(effect, "effect")
         if [*costs] != [*effects]:
             only = [name for name in (*costs, *effects) if (name in costs) != (name in effects)]
@@ -449,6 +450,17 @@ def _parse_prices(wtp: ArrayLike) -> Floats:
         what = f"{wtp!r:.60} is not a finite number"
         raise ModelError(what, where=WTP, fix="give one, or a list")
     return prices
+
+
+def _require_same_index(tables: Mapping[str, Any]) -> None:
+    """Raise ModelError unless all tables of pandas list the draws in the same order."""
+    labelled = {name: each for name, each in tables.items() if hasattr(each, "columns")}
+    first, *others = labelled or [""]
+    for name in others:
+        if [*labelled[name].index] != [*labelled[first].index]:
+            what = f"{name} has other row labels than {first}, or another order of rows"
+            fix = "give all tables the same labels in the same order, one for each draw"
+            raise ModelError(what, where=name, fix=fix)
 
 
 def _read_table(given: Any, where: str) -> dict[str, Floats]:
