@@ -34,8 +34,10 @@ outputs: ## run the notebooks and write their outputs into them
 	$(PY) tests/support/notebook_outputs.py
 docs: ## write into the pages what is made from the code
 	$(PY) docs/write.py
-test: lint types ## lint, types, doctests, the wheel, every test but those marked slow or storm
-	$(call TESTS,$(VENV)) -m "not slow and not storm"
+test: lint ## lint, types, doctests, the wheel, every test but those marked slow or storm
+	@$(MAKE) --no-print-directory types & typed=$$!; \
+	$(call TESTS,$(VENV)) -m "not slow and not storm"; tested=$$?; \
+	wait $$typed && exit $$tested
 test-slow: ## the tests that take long, and every property on examples never seen before
 	EXPLORE=1 $(call TESTS,$(VENV)) -m "(slow or hypothesis) and not storm"
 test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versions, in .venv-lowest

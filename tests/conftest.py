@@ -36,7 +36,8 @@ def pytest_collection() -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Look for garbage again."""
+    """Look for garbage again, but not among what was collected."""
+    gc.freeze()
     gc.enable()
 
 

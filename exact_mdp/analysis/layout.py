@@ -24,7 +24,7 @@ from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 
 MOST_CELLS = 4000  # that a picture has room for
@@ -84,7 +84,8 @@ def arrange(
 
     `shape` is (rows, columns) of a grid world whose states are numbered row by row. `down` and
     `across` name columns of the state space, or parts of states that are tuples; those that neither
-    names go down. `at` holds columns fixed, such as `trial=0`: other states are left out.
+    names go down, except the time of a model with a horizon. `at` holds columns fixed, such as
+    `trial=0`: other states are left out.
     """
     sides = _find_columns(model)
     down, across = ([each] if isinstance(each, str) else each for each in (down, across))
@@ -99,6 +100,8 @@ def arrange(
         sides = _columns_of(_build_grid_space(model.space, shape, named))
     elif len(sides) < 2 or not model.space.regular:
         return _lay_out_list(model)
+    elif across is None and TIME in rest and model.space.untimed is not None:
+        across = [TIME]  # a row for each state, a column for each time
     elif len(rest) == 1 and sides[rest[0]][0].bits > 1 and not (down or across):
         sides = _split_digits(*sides[rest[0]])
     labels = {name: [*map(own.label, range(own.size))] for name, (own, _) in sides.items()}

@@ -332,6 +332,7 @@ def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> tuple[list[Any]
     rewards, floats, zero = list(gains), False, Fraction(0)
     # Most amounts occur many times; to make a fraction takes longer than to look one up.
     known: dict[tuple[type, Any], Fraction] = {}
+    totals: dict[tuple[int, ...], Fraction] = {}  # by the places of amounts in memory
     for place, gain in enumerate(gains):
         if not isinstance(gain, Mapping):
             continue
@@ -343,9 +344,16 @@ def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> tuple[list[Any]
                 number = known[key] = exact(amount)
                 floats = floats or isinstance(as_given(amount), float)
             # An outcome that does not name a component has the amount 0.
-            columns.setdefault(str(name), [zero] * len(gains))[place] = number
+            column = columns.get(str(name))
+            if column is None:
+                column = columns[str(name)] = [zero] * len(gains)
+            column[place] = number
             own.append(number)
-        rewards[place] = sum(own, zero)
+        parts = tuple(map(id, own))
+        total = totals.get(parts)
+        if total is None:
+            total = totals[parts] = sum(own, zero)
+        rewards[place] = total
     names.setdefault("float_rewards", floats)
     return rewards, {name: np.array(each, dtype=object) for name, each in columns.items()}
 

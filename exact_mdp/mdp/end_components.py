@@ -93,6 +93,35 @@ class PairGraph:
         sure = self.compute_rounds(target, np.ones(len(self.pair_state), dtype=bool)) == 0
         return sure, (sure & ~target)[self.pair_state] & self.find_pairs_within(sure)
 
+    def split_pairs(self, pairs: Mask) -> PairGraph:
+        """Return the graph in which each outcome of some pairs (L,) is a pair of its own."""
+        lengths = np.diff(self.offsets)
+        begins = np.repeat(pairs, lengths)
+        begins[self.offsets[:-1]] = True
+        owner = np.repeat(self.pair_state, lengths)[begins]
+        offsets = np.append(np.flatnonzero(begins), len(self.next))
+        return PairGraph(self.states, owner, offsets, self.next)
+
+    def find_base(self, pairs: Mask) -> int | None:
+        """Return a state of all end components of some pairs (L,), or None.
+
+        Every policy of these pairs visits it again and again.
+        """
+        found = self.find_states_with(pairs)
+        while found.any():
+            base = int(found.argmax())
+            here = np.arange(self.states) == base
+            away = pairs & ~here[self.pair_state] & ~self.find_pairs_into(here)
+            label, inside = self.end_components(away)
+            if (label < 0).all():
+                return base
+            # A base is in every end component, and so in one that has a pair for each state.
+            chosen = np.flatnonzero(inside)
+            alone = np.zeros_like(pairs)
+            alone[chosen[np.unique(self.pair_state[chosen], return_index=True)[1]]] = True
+            found &= self.end_components(alone)[0] == 0
+        return None
+
     def end_components(self, pairs: Mask) -> tuple[Integers, Mask]:
         """Return (S,) the number of each state's end component or -1, and their pairs (L,)."""
         number, inside = np.full(self.states, -1), pairs.copy()

@@ -494,8 +494,6 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
             return rebuilt
         # The changes as given are kept with the origin, to be made at other parameters as well.
         given = dict(parts)
-        if start is not None:
-            given["start"] = start
         if "states" in parts:
             parts["space"] = StateSpace.plain(self.n_states, parts.pop("states"))
         if "actions" in parts:
@@ -511,7 +509,7 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
             if parts["discount_exact"] == 1:
                 parts["goal"] = self.target
         if start is not None:
-            parts["start"] = as_start(start, parts.get("space", self.space))
+            given["start"] = parts["start"] = as_start(start, parts.get("space", self.space))
             parts.setdefault("episodes", None)
         # Data and components describe the old table; a new one starts without them.
         if "table" in parts:

@@ -104,7 +104,7 @@ test_refused = table_of_refusals(__file__, globals())
 VARIED = moving(MODEL, {"p": [(0, 0)]})
 VARY: dict[str, dict[str, Any]] = {
     "gradient": {"model": VARIED, "names": 0, "policy": 0},
-    "tornado": {"model": VARIED, "names": 0, "ranges": 0, "relative": 0, "policy": 0},
+    "tornado": {"model": VARIED, "names": 0, "ranges": 0, "relative": 0, "policy": 0, "against": 0},
     "one_way": {"model": VARIED, "name": "p", "ranges": 0, "points": 2, "relative": 0},
     "two_way": {"model": VARIED, "x": "p", "y": "discount", "ranges": 0, "points": 2},
     "thresholds": {"model": VARIED, "name": "p", "ranges": 0, "relative": 0},

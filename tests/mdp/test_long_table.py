@@ -50,7 +50,12 @@ def test_costs_are_known_by_their_column() -> None:
 
 def test_a_cost_beside_another_amount_is_a_component() -> None:
     """As a health economist writes it: effects and costs, both as they are."""
-    mdp = MDP.from_frame(table([(*row, 2) for row in REPAIR], "qaly", "cost"))
+    both = table([(*row, 2) for row in REPAIR], "qaly", "cost")
+    with pytest.raises(ModelError, match="a column 'cost' beside other amounts"):
+        MDP.from_frame(both)
+    assert MDP.from_frame(both.assign(reward=0)).component_names[:2] == ("qaly", "cost")
+    assert MDP.from_frame(both, sense="min").sense == "min"
+    mdp = MDP.from_frame(both, sense="max")
     assert (mdp.sense, mdp.component_names) == ("max", ("qaly", "cost"))
 
 

@@ -1,6 +1,7 @@
 """Episodes that stop after N steps, against recursions that share nothing with the toolkit."""
 
 import json
+from fractions import Fraction as F
 from pathlib import Path
 
 import gymnasium
@@ -9,7 +10,19 @@ import pytest
 from cli_runner import run, strict
 from oracle import by_table
 
-from exact_mdp import MDP, Policy, certify, check, evaluate, fingerprint, load, save, solve
+from exact_mdp import (
+    MDP,
+    ModelError,
+    Policy,
+    certify,
+    check,
+    evaluate,
+    fingerprint,
+    load,
+    save,
+    simulate,
+    solve,
+)
 
 LAKE = "FrozenLake-v1"
 
@@ -73,6 +86,45 @@ def test_it_is_earned_with_the_last_step_and_is_a_component() -> None:
 
 
 # ---- the limit of an environment ---------------------------------------------------------------
+
+
+def walk() -> MDP:
+    """From a to b or c, and from b to a; only b is home."""
+    rows = [[[0, "1/2", "1/2"], [1, 0, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [0, 0, 1]]]
+    labels = {"home": [False, True, False]}
+    return MDP.from_arrays(rows, [1, 4, 0], "1/2", states=["a", "b", "c"], labels=labels)
+
+
+def test_without_a_step_a_value_is_the_terminal_one_and_home_is_where_one_is() -> None:
+    """V_0(s) = v(s), and P(F<=0 home) = 1 in home, 0 elsewhere."""
+    mdp = walk()
+    assert list(certify(mdp.within(0)).value) == [0, 0, 0]
+    assert list(certify(mdp.within(0, terminal_value=[3, -1, "1/3"])).value[:3]) == [3, -1, F(1, 3)]
+    assert solve(mdp, horizon=0, terminal_value={"b": 7}).value[:3].tolist() == [0, 7, 0]
+    for asked in (mdp.reaching("home").within(0), mdp.within(0).reaching("home")):
+        assert list(certify(asked).value[:3]) == [0, 1, 0]
+    until = mdp.with_(discount=1).until("home").within(0)
+    assert certify(until).value.tolist() == [float("inf"), 0, float("inf")]
+    begun = mdp.reaching("state=b").with_(start="b")
+    assert evaluate(begun, "random", horizon=0).mean == 1
+    assert simulate(begun, "random", 5, 0, horizon=0).returns.tolist() == [1] * 5
+    assert check(begun, "random", horizon=0).passed
+    assert simulate(mdp, "random", 5, 0, horizon=0).truncated == 5
+
+
+def test_a_probability_earns_no_terminal_value(tmp_path: Path) -> None:
+    mdp, end = walk(), {"a": 5}
+    with pytest.raises(ModelError, match="probability"):
+        mdp.reaching("home").within(1, terminal_value=end)
+    both = mdp.within(1, terminal_value=end).reaching("home")
+    assert list(certify(both).value[:3]) == [F(1, 2), 1, 0]
+    with pytest.raises(ModelError, match=r"within\(0\).reaching"):
+        mdp.reaching("home").with_(discount="1/2").within(0)
+    path = str(tmp_path / "walk.json")
+    save(mdp, path)
+    options = ("--reach", "home", "--horizon", "0", "--start")
+    for name, chance in (("a", 0), ("b", 1)):
+        assert strict(run("solve", path, *options, name, "--json").out)["start_value"] == chance
 
 
 def test_a_model_keeps_the_limit_of_its_environment(tmp_path: Path) -> None:

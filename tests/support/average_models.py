@@ -29,9 +29,20 @@ def random_rows(rng: Random, states: int = 4) -> Rows:
     return rows
 
 
-def moved_family(rng: Random, today: F, sense: str) -> Family:
+def sure_rows(rng: Random, states: int = 4) -> Rows:
+    """Return rows that lead to one state each, often the same one: many classes."""
+    rows: Rows = []
+    for state in range(states):
+        for action in range(rng.choice((1, 2))):
+            to = state if rng.random() < 0.5 else rng.randrange(states)
+            rows.append((state, action, [(F(1), to, F(rng.randint(-1, 1)))]))
+    return rows
+
+
+def moved_family(rng: Random, today: F, sense: str, rows: Rows | None = None) -> Family:
     """Return a family in which some pairs lead with chance t / 2 to a state at random."""
-    rows = random_rows(rng)
+    if rows is None:
+        rows = random_rows(rng)
     spots = {rng.randrange(len(rows)): rng.randrange(4) for _ in range(2)}
 
     def build(at: Any) -> MDP:

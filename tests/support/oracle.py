@@ -8,6 +8,7 @@ that its states take, in their order. All equations are solved by one eliminatio
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction as F
+from functools import lru_cache
 from itertools import product
 from math import inf
 from typing import Any
@@ -67,12 +68,19 @@ def rows_of(mdp: Any, pairs: Iterable[int] | None = None) -> list[Row]:
     """Return the rows of a model's pairs, or of some, such as those that a policy takes."""
     rows: list[Row] = []
     for pair in range(mdp.n_pairs) if pairs is None else pairs:
-        law: dict[int, F] = {}
-        for p, t, _ in mdp.table.row(pair):
-            law[t] = law.get(t, F(0)) + p
-        reward = sum((p * r for p, _, r in mdp.table.row(pair)), F(0))
+        reward, law = law_of(mdp.table, int(pair))
         rows.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), reward, law))
     return rows
+
+
+@lru_cache(maxsize=2000)
+def law_of(table: Any, pair: int) -> tuple[F, Mapping[int, F]]:
+    """Return the expected reward of a pair and its probabilities {next state: p}."""
+    law: dict[int, F] = {}
+    outcomes = table.row(pair)
+    for p, t, _ in outcomes:
+        law[t] = law.get(t, F(0)) + p
+    return sum((p * r for p, _, r in outcomes), F(0)), law
 
 
 def each_choice(mdp: Any) -> Iterator[tuple[int, ...]]:

@@ -53,6 +53,7 @@ WORK = "Records and parallel work"
 OF_WORK = ("confidence", "by", "evidence", "n_jobs", "out")  # options of the section `WORK`
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize")
 ASKED = (*QUESTION, *SETS)
+OF_FRONT = tuple(name for name in ASKED if name != "reward")  # a front names its totals itself
 OF_POLICY = ("kind", "perception", "horizon")
 VARIED = ("parameters", "ranges", "relative", "policy")  # listed beside a command's own
 HELD = (*VARIED, *OF_POLICY, *ASKED)
@@ -82,10 +83,10 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
         "explore": ("vary", ("criterion", "ranges", "relative", "kind", "horizon", *ASKED)),
     },
     "Trade": {
-        "tradeoff": ("trade", ("criterion", "horizon", *SETS)),
-        "rationalize": ("trade", ("criterion", *OF_POLICY, *SETS)),
+        "tradeoff": ("trade", ("criterion", "horizon", *OF_FRONT)),
+        "rationalize": ("trade", ("criterion", *OF_POLICY, *ASKED)),
         "ce": ("trade", ("horizon", *SETS)),
-        "risk": ("trade", ("horizon", *SETS)),
+        "risk": ("trade", ("horizon", *ASKED)),
     },
     "Models": {
         "info": ("models", SETS),

@@ -76,7 +76,7 @@ class Given:
     criterion : "total" or "average"
         What counts: the total reward, or the average reward per step in the long run, whatever the
         discount.
-    horizon : N, 1 to 1000000000
+    horizon : N, 0 to 1000000000
         Stop every episode after N steps, without a further reward.
     kind : "q", "policy" or "auto"
         What an array in a file is: a Q-table, or probabilities of actions.
@@ -253,11 +253,14 @@ class Given:
 
         "optimal" is the optimum for the true states, also under a perception.
         """
-        file = find_policy_format(form)
-        if self.kind != "auto" and (file is None or "kind" not in file.options):
+        # Of two policies, such as those of a tornado, one may be an array.
+        files = {each: find_policy_format(each) for each in (form, self.policy or form)}
+        arrays = [each for each, file in files.items() if file and "kind" in file.options]
+        if self.kind != "auto" and not arrays:
             what = f"--kind says what an array in a file is, and {form!r} is not such a file"
             raise ModelError(what, where="--kind", fix="leave it out")
-        policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=self.criterion)
+        kind = self.kind if form in arrays else "auto"
+        policy: Policy = policy_of(self.mdp, form, kind=kind, criterion=self.criterion)
         if self.perception is None:
             return policy
         matrix, _ = seeing.read_confusion_matrix(self.perception, self.mdp)

@@ -45,7 +45,7 @@ BOX = "box"
 # ---- one parameter at a time ---------------------------------------------------------------------
 
 
-def tornado_command(given: Given) -> Report:
+def tornado_command(given: Given, *, against: str | None = None) -> Report:
     """Compute values at both ends of each parameter's range.
 
     One parameter moves at a time, the others stay at today's values.
@@ -53,16 +53,25 @@ def tornado_command(given: Given) -> Report:
     Example: exact-mdp tornado yuan2025 --relative 1/10
     Example: exact-mdp tornado tea --range base.anxiety=0.05:0.2 --policy random
 
+    Parameters
+    ----------
+    against : POLICY, optional
+        Show the value of the policy held fixed less the value of this one.
+
     Keys
     ----
+    difference: value of the policy held fixed less the value of the other one;
     bars: each parameter with both ends of its range, both values, both regrets; policy_value: the
     value of the policy held fixed; regret: loss of that policy at the start.
     """
     spans, without = _select_ranges(given)
-    result = exact_mdp.tornado(given.family, names=list(spans), ranges=spans, **given.held)
+    other = None if against is None else given.policy_from(against)
+    result = exact_mdp.tornado(
+        given.family, names=list(spans), ranges=spans, against=other, **given.held
+    )
     # its effect on the policy
-    by = "swing"
-    if given.perception:
+    by = None
+    if given.perception and other is None:
         by = "fixed_swing"
     return _report_with_policy(given, "tornado", result.report(by), without_range=without)
 
@@ -354,10 +363,8 @@ def robust_command(
         return _report_worst_point(given, any(boxed.values()))
     meaning = ROWS[require_known_name(set_kind, [*ROWS, BOX], "set", "--set-kind")]
     refuse_options(boxed, "rows on their own", "add --set-kind box, or give --radius instead")
-    averaged = {"--criterion average": is_average(given.criterion)}
-    refuse_options(averaged, "rows on their own", "add --set-kind box, or leave it out")
     size = exact(SETS[set_kind][1] if radius is None else radius, "radius")
-    result = exact_mdp.robust(given.mdp, set_kind, radius=size, policy=given.fixed)
+    result = exact_mdp.robust(given.mdp, set_kind, radius=size, **given.held)
     kind = Shown(set_kind, meaning.format(f"{float(size):.4g}"))
     return _report_with_policy(given, "robust", result.report(), set_kind=kind, radius=float(size))
 

@@ -9,14 +9,14 @@ policies. Branch and bound (Land and Doig, Econometrica 28, 1960) splits the rel
 greatest bound, at the row in which any single action costs most.
 
 At discount 1 a policy that never ends, or misses a goal, is worth what `solve` says of the model
-whose only actions are its own, and may be worth +∞ or -∞. A relaxation is then solved as the model
-of its allowed pairs, and split at the row in which its policy, in states that it reaches, takes
-different actions most often.
+whose only actions are its own, and may be worth +∞ or -∞; the average reward of a policy is found
+alike. A relaxation is then solved as the model of its allowed pairs, and split at the row in which
+its policy, in states that it reaches, takes different actions most often.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from heapq import heappop, heappush
@@ -36,7 +36,12 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import BLOCK, Floats, Integers
 from exact_mdp.mdp.validate import Flags, require_count
-from exact_mdp.solvers.arguments import mdp_of
+from exact_mdp.solvers.arguments import (
+    Criterion,
+    is_average,
+    mdp_of,
+    require_average_applies,
+)
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, BoundedVector, first_of, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
@@ -98,6 +103,7 @@ def best_policy(
     *,
     start: Policy | None = None,
     node_limit: int | None = None,
+    criterion: Criterion = "total",
 ) -> BestPolicy:
     """Find the best deterministic policy that reads `columns`, with an upper bound on all.
 
@@ -110,6 +116,9 @@ def best_policy(
     node_limit : int, optional
         Greatest number of relaxations to solve; by default 100 to 5,000, by the model's size. The
         upper bound is sound wherever the search ends.
+    criterion : "total" or "average"
+        The total reward with the model's discount, or the average reward per step in the long run,
+        whatever the discount.
 
     Returns
     -------
@@ -130,22 +139,28 @@ def best_policy(
     >>> best.proven, round(best.value.value, 6), best.mixed_upper_bound < 146.2359
     (True, 146.235871, True)
     """
-    mdp = mdp_of(model)
+    mdp, make_rows = mdp_of(model), PolicyRows.of
+    if is_average(criterion):
+        require_average_applies(mdp)
+        make_rows = AverageRows
     if node_limit is None:
         # Transitions times relaxations: the limit keeps the default search to a constant effort.
         node_limit = max(100, min(5000, 2**25 // mdp.n_transitions))
     limit = require_count(node_limit, "node_limit")
     search_best = partial(
-        _find_best_policy, columns=require_list(columns, "columns"), start=start, node_limit=limit
+        _find_best_policy,
+        make_rows=partial(make_rows, columns=require_list(columns, "columns")),
+        start=start,
+        node_limit=limit,
     )
     return answer_maximised(mdp, search_best)
 
 
 def _find_best_policy(
-    mdp: MDP, columns: Sequence[str], start: Policy | None, node_limit: int
+    mdp: MDP, make_rows: Callable[[MDP], PolicyRows], start: Policy | None, node_limit: int
 ) -> BestPolicy:
     """Return the best policy of a model of maximised rewards."""
-    rows = PolicyRows.of(mdp, columns)
+    rows = make_rows(mdp)
     search = _BranchAndBound(rows)
     if start is not None:
         search.offer_policies(rows.choices_of(start)[None])
@@ -176,6 +191,7 @@ class PolicyRows:
     def of(cls, mdp: MDP, columns: Sequence[str]) -> PolicyRows:
         """Return the rows of a model of maximised rewards, whether or not every policy ends."""
         if mdp.ends.has_improper_policy:
+            _require_comparable(mdp)
             return EndlessRows(mdp, columns)
         return cls(mdp, columns)
 
@@ -288,32 +304,29 @@ class PolicyRows:
         return np.asarray(gamma(self._terms + 8) * (self._gain + 2 * size))
 
 
+def _require_comparable(mdp: MDP) -> None:
+    """Raise ModelError if some policy may have the value +∞ in one start state, -∞ in another.
+
+    A run that misses a goal is worth the same in every state.
+    """
+    start = find_start_states(mdp)
+    if mdp.ends.has_goal or start.sum() == 1:
+        return
+    best = np.isposinf(solve(mdp).value) & start
+    worst = np.isneginf(solve(mdp.with_(sense="min")).value) & start
+    if best.any() and worst.any() and (best | worst).sum() > 1:
+        raise ModelError(
+            "a policy may be worth +∞ from one state of the start and -∞ from another",
+            where="start",
+            fix="start in one state: --start, or mdp.with_(start=…)",
+        )
+
+
 class EndlessRows(PolicyRows):
     """The same of a model with improper policies, whose values may be infinite.
 
     Each relaxation, and each policy, is solved as a model of its own.
     """
-
-    def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
-        super().__init__(mdp, columns)
-        self._require_comparable()
-
-    def _require_comparable(self) -> None:
-        """Raise ModelError if some policy may have the value +∞ in one start state, -∞ in another.
-
-        A run that misses a goal is worth the same in every state.
-        """
-        mdp, start = self.mdp, find_start_states(self.mdp)
-        if mdp.ends.has_goal or start.sum() == 1:
-            return
-        best = np.isposinf(solve(mdp).value) & start
-        worst = np.isneginf(solve(mdp.with_(sense="min")).value) & start
-        if best.any() and worst.any() and (best | worst).sum() > 1:
-            raise ModelError(
-                "a policy may be worth +∞ from one state of the start and -∞ from another",
-                where="start",
-                fix="start in one state: --start, or mdp.with_(start=…)",
-            )
 
     def bound_relaxations(self, allowed: Flags) -> tuple[Floats, Integers, Floats]:
         """Return upper bounds (N,) of relaxations (N, K, A), and a policy for each, (N, K).
@@ -353,6 +366,15 @@ class EndlessRows(PolicyRows):
     def _solve_pairs(self, pairs: Integers) -> Solution:
         """Return the optimum of the model of some pairs (K,), as close as floats allow."""
         solution: Solution = solve(of_pairs(self.mdp, pairs), "policy-iteration")
+        return solution
+
+
+class AverageRows(EndlessRows):
+    """The same for average rewards."""
+
+    def _solve_pairs(self, pairs: Integers) -> Solution:
+        """Return the best average reward of the model of some pairs (K,)."""
+        solution: Solution = solve(of_pairs(self.mdp, pairs), criterion="average")
         return solution
 
 

@@ -16,6 +16,7 @@ from exact_mdp.analysis.perception import ErrorCosts
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
+    COLUMN_SIZE,
     HIGH,
     INK,
     LOW,
@@ -24,6 +25,7 @@ from exact_mdp.analysis.plots.style import (
     add_bars,
     apply_style,
     axes_or_new,
+    is_narrow,
     label_axes,
     make_swatch,
 )
@@ -227,10 +229,14 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     with require_extra("plots"):
         import networkx as nx
     ax, graph = axes_or_new(ax, high=6.0), nx.DiGraph()
+    font = 9
+    if is_narrow(ax):
+        font = COLUMN_SIZE
+    radius = 5 * font  # points: what is written in a circle fits
     for status in scenario.statuses:
         numbers = [float(scenario[f"{kind}.{status}"]) for kind in ("base", "persistence")]
         text = "{}\nsets in {:.0%}\nstays {:.0%}".format(status, *numbers)
-        graph.add_node(status, label=text, size=6500, fill="white")
+        graph.add_node(status, label=text, size=3.2 * radius**2, fill="white")
     forwards = scenario.readings["influence_orientation"] == "row-to-column"
     for names in permutations(scenario.statuses, 2):
         amount = float(scenario[f"influence.{'.'.join(names)}"])
@@ -242,8 +248,10 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     for node, angle in zip(graph, angles, strict=True):
         place[node] = np.cos(angle), np.sin(angle)
     # Labels are nearer to the beginning of an arrow, so that they do not meet.
-    _draw_graph(ax, graph, place, font=9, head=16, bend=0.11, at=0.35)
-    ax.margins(0.2)
+    _draw_graph(ax, graph, place, font=font, head=16, bend=0.11, at=0.35)
+    # The centres are this far from the edges that circles are whole; a title takes a tenth.
+    share = radius / (0.9 * 72 / ax.figure.dpi * min(ax.bbox.width, ax.bbox.height))
+    ax.margins(share / (1 - min(2 * share, 0.9)))
     return label_axes(ax, "Who raises whom, in points of chance per timestep", scenario.name)
 
 

@@ -48,6 +48,7 @@ OUTPUT = {
     "optimal": "value at the start, policy re-optimised",
     "fixed": "value at the start, policy held fixed",
     "regret": "regret of the policy held fixed",
+    "difference": "value at the start, one policy less the other",
 }
 INKS = (BLACK, *INK)
 WIDE: Look = {"color": "0.8", "linewidth": 7, "solid_capstyle": "butt"}
@@ -117,14 +118,18 @@ def plot_tornado(
 ) -> Axes:
     """Draw the widest bars: white where the parameter is at its low end, blue at its high end.
 
-    `output` is by default "fixed" if the policy held fixed is not optimal today, else "optimal".
+    `output` is "optimal", "fixed", "regret", or "difference" from another policy. By default it is
+    the last if there is one, and "fixed" if the policy held fixed is not optimal today.
     """
-    lost = tornado.today["regret"]
-    output = output or ("fixed" if lost.value > lost.error else "optimal")
-    require_known_name(output, OUTPUT, "output", "output")
+    today = tornado.today
+    if output is None and tornado.compares:
+        output = "difference"
+    elif output is None:
+        output = "fixed" if today["regret"].value > today["regret"].error else "optimal"
+    require_known_name(output, today, "output", "output")
     # Bars reach from today's value to the values at both ends, the widest bars first.
-    middle = tornado.today[output].value
-    column = {"optimal": "value", "fixed": "fixed_value", "regret": "regret"}[output]
+    middle = today[output].value
+    column = {"optimal": "value", "fixed": "fixed_value"}.get(output, output)
     table = tornado.frame()
     reach = table[[f"{column}_low", f"{column}_high"]].to_numpy() - middle
     order = np.argsort(-np.abs(reach).max(axis=1), kind="stable")[:most]
@@ -136,7 +141,7 @@ def plot_tornado(
         ends = zip(both, (LOW, HIGH), strict=True)
         for end, look in sorted(ends, key=lambda each: -abs(each[0])):
             drawn.append((row, end, look))
-    what = "regret" if output == "regret" else tornado.table.measure
+    what = output if output in ("regret", "difference") else tornado.table.measure
     return label_axes(
         add_bars(ax, names, drawn, middle),
         f"Tornado: the {what} at both ends of each range"

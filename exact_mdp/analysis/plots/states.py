@@ -46,6 +46,7 @@ from exact_mdp.analysis.plots.style import (
     is_narrow,
     label_axes,
     make_swatch,
+    measure_names,
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -56,6 +57,7 @@ from exact_mdp.solvers.values.evaluate import Evaluation
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 NUMBERED = 60  # cells that have room for a number, too
+NAMES_PER_INCH = 7.2  # one above the other, or upright side by side
 MOST_LETTERS = 70  # of names side by side
 LONGEST = 26  # letters of a name beside the axes
 SHADES = LinearSegmentedColormap.from_list("value", ["#F7FBFF", "#2171B5"])
@@ -295,8 +297,12 @@ def _draw_map(
         size = (max(4.8, min(14.0, 3.4 + 0.55 * wide)), max(2.8, min(12.0, 1.9 + 0.42 * high)))
         ax = plt.subplots(figsize=size, layout="constrained")[1]
     ax.set(xlim=(0, wide), ylim=(high, 0), xlabel=layout.across, ylabel=layout.down)
-    for ticks, labels in ((ax.set_xticks, layout.columns), (ax.set_yticks, layout.rows)):
-        step = -(-len(labels) // MOST_NAMED)
+    inches = np.array([ax.bbox.width, ax.bbox.height]) / ax.figure.dpi
+    for ticks, labels, most in (
+        (ax.set_xticks, layout.columns, MOST_NAMED),
+        (ax.set_yticks, layout.rows, min(MOST_NAMED, int(NAMES_PER_INCH * inches[1]))),
+    ):
+        step = -(-len(labels) // max(1, most))
         ticks(np.arange(0, len(labels), step) + 0.5, shorten_names(labels, LONGEST)[::step])
     if max(map(len, layout.columns)) > 4:
         ax.tick_params(axis="x", rotation=90)
@@ -308,7 +314,8 @@ def _draw_map(
     texts = [text.split("\n") for text, _ in shown.values()]
     letters = max(1, *map(len, chain(*texts)))
     deep = max(map(len, texts))
-    room = 72 / ax.figure.dpi * np.array([ax.bbox.width / wide / letters, ax.bbox.height / high])
+    inches[0] = min(inches[0], ax.figure.bbox.width / ax.figure.dpi - measure_names(ax) - 1)
+    room = 72 * inches / [wide * letters, high]
     # A letter is 0.85 sizes of the font wide, a line 1.3 high; nobody reads less than 3.5 points.
     font = min(font, *(room / [0.85, 1.3 * deep]).tolist())
     if font < 3.5:
@@ -385,8 +392,8 @@ def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], lab
     names = [name.removeprefix("state ") for name in model.space.labels(range(count))]
     names = shorten_names(names, LONGEST)
     wide = ax.bbox.width / ax.figure.dpi
-    # An inch has room for seven names that stand upright.
-    step = -(-count // min(MOST_NAMED, max(1, int(7.2 * wide))))
+    most = min(MOST_NAMED, max(1, int(NAMES_PER_INCH * wide)))
+    step = -(-count // most)
     upright = len("  ".join(names[::step])) > MOST_LETTERS
     ax.set_xticks(range(0, count, step), names[::step], rotation=90 if upright else 0)
     turned = 0
@@ -395,12 +402,12 @@ def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], lab
     # An infinite value has no bar: write it.
     for state in np.flatnonzero(~np.isfinite(values)):
         texts[state] += f"\n{values[state]:g}"
-    if count <= MOST_NAMED:
+    if count <= most:
         shown = []
         for over, text in zip(model.over, texts, strict=True):
             shown.append("" if over else text)
         ax.bar_label(bars, shown, padding=2, fontsize=8, rotation=turned)
     ax.axhline(0, color=BLACK, linewidth=0.8)
-    ax.margins(x=0.01, y=0.3 if turned and count <= MOST_NAMED else 0.12)
+    ax.margins(x=0.01, y=0.3 if turned and count <= most else 0.12)
     ax.set(xlabel="state", ylabel=label)
     return ax

@@ -5,6 +5,7 @@ Every text is shown as it is written: names may hold "$", which matplotlib would
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
@@ -15,6 +16,8 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.text import Text
+from matplotlib.ticker import AutoLocator
+from matplotlib.transforms import ScaledTranslation, blended_transform_factory
 
 from exact_mdp.mdp.errors import named_options
 
@@ -28,6 +31,8 @@ LINES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 WHITE, BLUE, ORANGE, BLACK = PALETTE[0], PALETTE[2], PALETTE[3], "#000000"
 INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7], PALETTE[5], "#8C6D1F")
+COLUMN_SIZE = 7  # points, in a figure as wide as a column of a journal
+LETTER = 0.58 * COLUMN_SIZE / 72  # inches that a letter of that size is wide on average
 LOW: Look = {"color": WHITE, "hatch": ""}  # the looks of two kinds of bars
 HIGH: Look = {"color": BLUE, "hatch": "//"}
 
@@ -75,6 +80,8 @@ def apply_style(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes
         for text in ax.findobj(Text):  # also texts that given axes already have
             assert isinstance(text, Text)
             text.set_parse_math(False)
+        if is_narrow(ax):
+            _fit_column(ax)
         return ax
 
     return draw_picture
@@ -147,9 +154,62 @@ def label_axes(
 
 
 def is_narrow(ax: Axes) -> bool:
-    """Whether the axes leave no room beside them: figures below 4.8 inches."""
+    """Whether the axes and the names of their rows leave no room beside them, of 4.8 inches."""
     figure = ax.get_figure(root=True)
-    return figure is not None and float(figure.get_size_inches()[0]) < 4.8
+    return figure is not None and float(figure.get_size_inches()[0]) - measure_names(ax) < 4.8
+
+
+def measure_names(ax: Axes) -> float:
+    """Return how many inches the names of the rows take, about."""
+    return 0.08 * max((len(text.get_text()) for text in ax.get_yticklabels()), default=0)
+
+
+def _fit_column(ax: Axes) -> None:
+    """Break long texts and shrink letters, so that a figure as wide as a column shows them all."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    wide, high = figure.get_size_inches() / LETTER
+    names = [text.get_text() for text in ax.get_yticklabels()]
+    longest = max(map(len, names), default=0)
+    two_lines = 2.4 * COLUMN_SIZE / 72 * len(names) < 0.7 * high * LETTER
+    if two_lines and longest > 0.25 * wide:
+        names = [_break_lines(name, 0.3 * wide) for name in names]
+        ax.set_yticks(ax.get_yticks(), names)
+        longest = max(len(line) for name in names for line in name.split("\n"))
+    right = max(wide - longest - 8, 0.45 * wide)  # letters beside the names of the rows
+    for other in figure.axes:
+        other.tick_params(labelsize=COLUMN_SIZE)
+        if isinstance(steps := other.xaxis.get_major_locator(), AutoLocator):
+            steps.set_params(nbins=max(1, min(4, int(right // 9))))
+        for label, room in ((other.xaxis.label, right), (other.yaxis.label, 0.6 * high)):
+            label.set(text=_break_lines(label.get_text(), room), fontsize=COLUMN_SIZE)
+    title = _break_lines(ax.get_title(loc="left"), 0.9 * right)
+    ax.set_title(title, loc="left", fontsize=COLUMN_SIZE + 1, wrap=False)
+    under = 2 + 1.4 * len(ax.get_xlabel().split("\n")) * bool(ax.get_xlabel())  # lines
+    if legend := ax.get_legend():
+        # Below the axis, its numbers and its name, from the left end of the figure.
+        below = ScaledTranslation(0, -under * COLUMN_SIZE / 72, figure.dpi_scale_trans)
+        corner = blended_transform_factory(figure.transFigure, ax.transAxes) + below
+        legend.set_bbox_to_anchor((0.0, 0.0), transform=corner)
+        for text in legend.get_texts():
+            text.set(text=_break_lines(text.get_text(), 0.8 * wide), fontsize=COLUMN_SIZE)
+        legend.get_title().set_fontsize(COLUMN_SIZE)
+        under += 1.5 * len(legend.get_texts())
+    if len(names) > 1:
+        lines = under + 1.6 * len(title.split("\n"))
+        fits = (high * LETTER * 72 - COLUMN_SIZE * lines) / len(names) / 1.3
+        shorter = 0.45 * wide / max(longest, 1) * COLUMN_SIZE
+        ax.tick_params("y", labelsize=max(3.5, min(COLUMN_SIZE, fits, shorter)))
+
+
+def _break_lines(text: str, room: float) -> str:
+    """Return a text in lines of at most `room` letters, broken at spaces and after dots."""
+    lines = [""]
+    for part in re.findall(r"\[[^]]*\] ?|[^ .[]+[ .]*|[ .[]+", " ".join(text.split())):
+        if lines[-1] and len(lines[-1] + part.rstrip()) > room:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def make_swatch(label: str, look: Look) -> Patch:

@@ -11,6 +11,10 @@ distributions:
     uniform       mean with sd or relative_sd; or low, high
     triangular    mean with sd or relative_sd, symmetric; or low, mode, high
 
+Parameters that are jointly normal are listed as `names` beside a `covariance`, the rows of a
+positive definite matrix, and perhaps a list `mean`; if they are `lognormal` that is the covariance
+of their logarithms, beside a list `meanlog`.
+
 `se`, the standard error of an estimate, may stand for sd, and a gamma's rate for 1/scale. In place
 of all numbers, `interval = [low, high]` gives the 95 % interval (not of a triangular distribution).
 The mean is today's value by default. Without a named distribution, a probability (from 0 to 1) is
@@ -34,9 +38,13 @@ parameters for which nothing is stated, and the discount, do not vary. A TOML fi
     [influence]
     fixed = true
 
+    [regression]                           # a name for both together
+    names = ["log.shape", "log.rate"]
+    covariance = [[0.04, 0.01], [0.01, 0.09]]
+
 Every part draws from a random stream of its own, seeded by its name, so that adding a part does not
-change the draws of the others. Correlated parameters are given as a table of draws, with a column
-for each; [table, settings] gives the others their distributions.
+change the draws of the others. Correlated parameters may also be given as a table of draws, with a
+column for each; [table, settings] gives the others their distributions.
 """
 
 from __future__ import annotations
@@ -72,6 +80,7 @@ from exact_mdp.mdp.errors import (
     require_list,
     suggest_name,
 )
+from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
@@ -182,7 +191,10 @@ INTERVALS = {
     "beta": fit_beta,
 }
 """The functions of a 95 % interval that give a distribution's own numbers."""
-SETTINGS = (*sorted(NUMBERS), "distribution", "fixed", INTERVAL, "se", "rate")
+NAMES, COVARIANCE = "names", "covariance"
+JOINT = {"normal": "mean", "lognormal": "meanlog"}
+"""The joint distributions of several parameters, and the name of their list of means."""
+SETTINGS = (*sorted(NUMBERS), COVARIANCE, "distribution", "fixed", INTERVAL, NAMES, "se", "rate")
 ELSEWHERE = {  # other names of settings and distributions, each with the remedy
     "sem": "state sd, or se: the standard error of an estimate",
     "std": "state sd",
@@ -197,16 +209,18 @@ ELSEWHERE = {  # other names of settings and distributions, each with the remedy
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """The distribution of one parameter, or the joint one of the probabilities of a row.
+    """The distribution of one parameter, or the joint one of several.
 
     Attributes
     ----------
     names : tuple of k str
-        One name; for a Dirichlet the named probabilities of a row, without the remaining one.
+        One name, or several; for a Dirichlet the named probabilities of a row, without the
+        remaining one.
     kind : str
         A distribution, or "sample".
     numbers : tuple of float
-        Its own numbers, in the order of `KINDS`; for a Dirichlet k + 1 concentrations.
+        Its own numbers, in the order of `KINDS`; for a Dirichlet k + 1 concentrations; of several
+        parameters k means, then the covariance (k, k) row by row.
     mean, sd : tuple of k float
     label : str
     """
@@ -291,7 +305,7 @@ class Uncertain:
         if not all(map(math.isfinite, numbers)):
             fix = "give [low, high] within the range of a "
             fix += ", ".join(INTERVALS)
-            what = f"no {kind} has the 95 % interval from {low:g} to {high:g}"
+            what = f"no {kind} has the 95 % interval from {low!r} to {high!r}"
             raise ModelError(what, where=where, fix=fix)
         return cls.of(name, kind, **dict(zip(KINDS[kind].own, numbers, strict=True)))
 
@@ -333,12 +347,65 @@ class Uncertain:
         sd = tuple(math.sqrt(m * (1 - m) / (size + 1)) for m in mean)
         return cls(names=row, kind="dirichlet", numbers=numbers, mean=mean, sd=sd, label=label)
 
+    @classmethod
+    def of_joint(
+        cls, label: str, names: Sequence[str], kind: str, mean: object, covariance: object
+    ) -> Uncertain:
+        """Return the normal or lognormal distribution of several parameters together.
+
+        Parameters
+        ----------
+        label : str
+            The name of the distribution.
+        names : sequence of k str
+        kind : "normal" or "lognormal"
+        mean, covariance : (k,) and (k, k) numbers
+            Of the parameters, or of their logarithms.
+
+        Returns
+        -------
+        Uncertain
+
+        Raises
+        ------
+        ModelError
+            If the covariance is not symmetric and positive definite.
+
+        Examples
+        --------
+        >>> Uncertain.of_joint("fit", ["a", "b"], "normal", [1, 2], [[4, 1], [1, 9]]).sd
+        (2.0, 3.0)
+        """
+        where, count = f"distribution of {label}", len(names)
+        middle, square = float_array(mean, where), float_array(covariance, where)
+        if (middle.shape, square.shape) != ((count,), (count, count)):
+            what = f"means of shape {middle.shape}, and a covariance of shape {square.shape}"
+            fix = f"give {count} means, and {count} rows of {count} numbers"
+            raise ModelError(what, where=where, fix=fix)
+        unlike = np.argwhere(~(square == square.T))
+        if len(unlike):
+            one, other = names[unlike[0][0]], names[unlike[0][1]]
+            what = f"two covariances of {one} and {other}" if one != other else "not a variance"
+            raise ModelError(what, where=where, fix="give a symmetric covariance")
+        _factor_covariance(square, where)
+        variance = square.diagonal()
+        mean, sd = middle, np.sqrt(variance)
+        if kind == "lognormal":
+            with np.errstate(over="ignore"):  # refused below
+                mean = np.exp(middle + variance / 2)
+                sd = mean * np.sqrt(np.expm1(variance))
+        if not (np.isfinite(mean).all() and np.isfinite(sd).all()):
+            raise ModelError("a mean or sd is infinite", where=where, fix="give smaller numbers")
+        moments: Any = {"mean": tuple(mean.tolist()), "sd": tuple(sd.tolist())}
+        numbers = (*middle.tolist(), *square.ravel().tolist())
+        return cls(names=tuple(names), kind=kind, numbers=numbers, label=label, **moments)
+
     @property
     def size(self) -> float | None:
-        """Effective sample size of a beta or Dirichlet; for others the relative spread."""
+        """Effective sample size of a beta or Dirichlet; for one parameter the relative spread."""
         if self.kind in ("beta", "dirichlet"):
             return math.fsum(self.numbers)
-        if not self.mean[0]:
+        if len(self.names) > 1 or not self.mean[0]:
             return None
         return self.sd[0] / abs(self.mean[0])
 
@@ -356,8 +423,26 @@ class Uncertain:
         if self.kind == "gamma":
             shape, scale = self.numbers
             return math.copysign(1.0, scale) * rng.gamma(shape, abs(scale), size=(count, 1))
+        if (joint := len(self.names)) > 1:
+            middle, square = np.split(np.array(self.numbers), [joint])
+            factor = _factor_covariance(square.reshape(joint, joint), self.label)
+            several = middle + rng.standard_normal((count, joint)) @ factor.T
+            return np.exp(several) if self.kind == "lognormal" else several
         drawn: Floats = getattr(rng, self.kind)(*self.numbers, size=(count, 1))
         return drawn
+
+
+def _factor_covariance(square: Floats, where: str) -> Floats:
+    """Return the lower triangular L (k, k) with L Lᵀ = Σ; raise ModelError if there is none."""
+    try:
+        return np.asarray(np.linalg.cholesky(square))
+    except np.linalg.LinAlgError:
+        raise ModelError(
+            "the covariance is not positive definite",
+            where=where,
+            fix="correct it; if one parameter follows from the others, leave it out, and let the "
+            "function that builds the model compute it",
+        ) from None
 
 
 def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
@@ -495,7 +580,8 @@ def uncertainty(
     stated : {name, beginning of names, or label of a row: settings}, DataFrame or file
         Settings describe a distribution, as at the top of `analysis.vary.distributions`, or are
         `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. Settings
-        must be the same for all entries of a row. A table is a sample of your own, with a column
+        must be the same for all entries of a row. Settings with a covariance have a name of their
+        own and list their parameters as `names`. A table is a sample of your own, with a column
         for each parameter that is drawn and a row for each draw. Or the name of a .toml file of
         settings; or [table, settings], where the settings are of parameters without a column.
     default : float, optional
@@ -544,7 +630,16 @@ def uncertainty(
     size = _check_within(given, SIZE, DEFAULT)
     parameters = {parameter.name: parameter for parameter in model.parameters}
     rows = {label: tuple(row) for label, row in getattr(model, "rows", {}).items()}
-    for name in stated:
+    for name, settings in stated.items():
+        if NAMES in settings:
+            if name in rows or name in parameters:
+                what, fix = "a row or a parameter has this name", "name the several differently"
+                raise ModelError(what, where=f"distribution of {name}", fix=fix)
+            several: Any = settings[NAMES]
+            rows[name] = tuple(require_list(several, NAMES))
+            if len(rows[name]) < 2:
+                fix = f"name two or more; one has an sd, without {COVARIANCE}"
+                raise ModelError("too few names", where=f"distribution of {name}", fix=fix)
         if name not in rows and not any(_has_prefix(known, name) for known in parameters):
             parameter_of(model, name)
     with locate_errors("rows"):
@@ -565,14 +660,16 @@ def uncertainty(
         members = rows.get(label, (label,))
         some = [name for name in members if name in chosen]
         if 0 < len(some) < len(members):
-            what = f"{some[0]} is asked for without the others of its row"
-            fix = f"name the row, {label}: its probabilities are drawn together"
+            what = f"{some[0]} is asked for without the others of {label}"
+            fix = f"name {label}: its parameters are drawn together"
             raise ModelError(what, where="names", fix=fix)
         settings = _find_settings(label, members, stated) if some else {}
         if not some:
             part: Uncertain | str = "not among the names asked for"
         elif settings.get("fixed"):
             part = "stated to be fixed"
+        elif NAMES in settings:
+            part = _read_joint_distribution([parameters[n] for n in members], label, settings)
         elif label in rows:
             part = _read_row_distribution(
                 [parameters[name] for name in members], label, settings, size
@@ -686,6 +783,24 @@ def _read_row_distribution(
     return Uncertain.of_row(label, names, [size * m for m in (*means, 1.0 - math.fsum(means))])
 
 
+def _read_joint_distribution(
+    several: Sequence[Parameter], label: str, settings: Settings
+) -> Uncertain:
+    """Return the distribution of several parameters by their covariance."""
+    where, kind = f"distribution of {label}", str(settings.get("distribution", "normal"))
+    own = JOINT[require_known_name(kind, JOINT, "joint distribution", where)]
+    others = sorted({*settings} - {"distribution", NAMES, COVARIANCE, own})
+    if others:
+        fix = f"state {NAMES}, {COVARIANCE}, and perhaps {own}, a list"
+        raise ModelError(f"{others[0]} beside a covariance", where=where, fix=fix)
+    if own == "meanlog" and own not in settings:
+        fix = "state meanlog, the means of the logarithms"
+        raise ModelError("a lognormal covariance without means", where=where, fix=fix)
+    mean = settings.get(own, [parameter.value for parameter in several])
+    names = [parameter.name for parameter in several]
+    return Uncertain.of_joint(label, names, kind, mean, settings[COVARIANCE])
+
+
 def _has_prefix(name: str, start: str) -> bool:
     return f"{name}.".startswith(f"{start}.")
 
@@ -704,9 +819,9 @@ def _find_settings(label: str, names: Sequence[str], stated: Mapping[str, Settin
         else:
             said.append(dict(whole))
     if any(each != said[0] for each in said) or (whole and whole != said[0]):
-        fix = f'its probabilities are drawn together: state them once, for "{label}"'
-        what = "the entries of a row have different settings"
-        raise ModelError(what, where=f"row {label}", fix=fix)
+        fix = f'they are drawn together: state the settings once, for "{label}"'
+        what = f"the parameters of {label} have different settings"
+        raise ModelError(what, where=f"distribution of {label}", fix=fix)
     return said[0]
 
 
@@ -734,6 +849,10 @@ def _check_settings(name: str, settings: object) -> Settings:
     if isinstance(kind, str) and kind in ELSEWHERE:
         raise ModelError(f"unknown distribution {kind!r}", where=where, fix=ELSEWHERE[kind])
     require_known_name(kind, EVERY, "distribution", where)
+    if (NAMES in settings) != (COVARIANCE in settings):
+        only = NAMES if NAMES in settings else COVARIANCE
+        fix = f'write {NAMES} = ["a", "b"] and {COVARIANCE} = [[…, …], […, …]]'
+        raise ModelError(f"{only} alone", where=where, fix=fix)
     return _translate_settings(settings, where)
 
 

@@ -79,8 +79,6 @@ class CostEffectiveness(Pictured):
     effect_error: Floats | float = 0.0  # (D, N)
     cost_error: Floats | float = 0.0
 
-    claim = Claim.ESTIMATED
-
     @classmethod
     def of(cls, cost: Any, effect: Any, parameters: Any = None) -> Self:
         """Return the analysis of costs and effects from elsewhere, such as another model's draws.
@@ -109,6 +107,7 @@ class CostEffectiveness(Pictured):
         >>> table["ICER"].tolist(), table["by"].tolist()
         ([nan, nan, 3000.0], ['', 'usual', ''])
         """
+        _require_same_index({"cost": cost, "effect": effect, "parameters": parameters})
         costs, effects = _read_table(cost, "cost"), _read_table(effect, "effect")
         if [*costs] != [*effects]:
             only = [name for name in (*costs, *effects) if (name in costs) != (name in effects)]
@@ -136,6 +135,13 @@ class CostEffectiveness(Pictured):
     def base_case(self) -> bool:
         """Whether nothing is drawn, so all numbers are for today's values."""
         return len(self.draws) == 1 and not self.uncertainty.parts
+
+    @property
+    def claim(self) -> Claim:
+        """Bounded for a base case that was computed here; estimated from draws or elsewhere."""
+        if self.base_case and self.seed is not None:
+            return Claim.BOUNDED
+        return Claim.ESTIMATED
 
     def __repr__(self) -> str:
         if self.base_case:
@@ -292,6 +298,7 @@ class CostEffectiveness(Pictured):
         count, assumed = len(self.draws), self.uncertainty
         facts = {
             "claim": self.claim,
+            **self._list_error_facts(),
             "draws": Shown(count, "none: the base case" if self.base_case else count),
             "seed": Shown(self.seed, None if self.base_case else self.seed),
             "effect": self.components[0],
@@ -308,6 +315,13 @@ class CostEffectiveness(Pictured):
             "evpi": Shown([each.value for each in self.evpi(grid)]),
         }
         return Report(title=repr(self), facts=facts, tables=tables)
+
+    def _list_error_facts(self) -> dict[str, Any]:
+        """Return the greatest errors of effect and cost in a base case; none in draws."""
+        if self.claim != Claim.BOUNDED:
+            return {}
+        errors = (float(np.max(each)) for each in (self.effect_error, self.cost_error))
+        return {"error_bounds": dict(zip(self.components, errors, strict=True))}
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""
@@ -436,6 +450,17 @@ def _parse_prices(wtp: ArrayLike) -> Floats:
         what = f"{wtp!r:.60} is not a finite number"
         raise ModelError(what, where=WTP, fix="give one, or a list")
     return prices
+
+
+def _require_same_index(tables: Mapping[str, Any]) -> None:
+    """Raise ModelError unless all tables of pandas list the draws in the same order."""
+    labelled = {name: each for name, each in tables.items() if hasattr(each, "columns")}
+    first, *others = labelled or [""]
+    for name in others:
+        if [*labelled[name].index] != [*labelled[first].index]:
+            what = f"{name} has other row labels than {first}, or another order of rows"
+            fix = "give all tables the same labels in the same order, one for each draw"
+            raise ModelError(what, where=name, fix=fix)
 
 
 def _read_table(given: Any, where: str) -> dict[str, Floats]:

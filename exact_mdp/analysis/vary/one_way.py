@@ -35,9 +35,10 @@ from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Integers
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import require_count
 from exact_mdp.solvers.arguments import is_average
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.claims import Bounded, compute_regret
 
 VALUES = {
@@ -63,16 +64,35 @@ class Tornado(Pictured):
         return f"Tornado({len(self.spans)} bars{widest}; {today})"
 
     @property
+    def compares(self) -> bool:
+        """Whether the policy held fixed is compared with another one."""
+        return len(self.table.fixed.T) > 1
+
+    @property
+    def differences(self) -> Floats:
+        """(D,) at each point of the study: the value of the policy less that of the other one."""
+        one, other = self.table.fixed.T
+        return np.asarray(one - other)
+
+    @property
     def today(self) -> dict[str, Bounded]:
-        """The optimum at today's values, the value of the policy held "fixed", and its "regret"."""
+        """The optimum at today's values, the value of the policy held "fixed", and its "regret".
+
+        Beside another policy also their "difference".
+        """
         optimal, fixed = self.table.bound_point_values(0)
         lost = compute_regret(optimal, fixed, self.table.sense)
-        return {"optimal": optimal, "fixed": fixed, "regret": lost}
+        found = {"optimal": optimal, "fixed": fixed, "regret": lost}
+        if self.compares:
+            apart = float(self.differences[0])
+            error = float(self.table.error[0, 1:].sum() + UNIT * abs(apart)) * SLACK
+            found["difference"] = Bounded(value=apart, error=error)
+        return found
 
-    def report(self, by: str = "swing") -> Report:
+    def report(self, by: str | None = None) -> Report:
         """Return values and regrets at both ends of every range, in descending order of `by`.
 
-        `by` is "swing" for the optimum or "fixed_swing" for the policy held fixed.
+        `by` is as for `frame`.
         """
         bars, today = self.frame(by).drop(columns="claim"), self.today
         lost = today["regret"]
@@ -90,23 +110,34 @@ class Tornado(Pictured):
         held: Any = ()
         if lost.value > lost.error:
             held = self.frame("fixed_swing")
+        tables = {
+            "bars": make_table("re-optimised; regret of the policy held fixed", "value"),
+            "held": make_table("held fixed", "fixed_value", held),
+        }
+        apart = {}
+        if self.compares:
+            title = "held fixed, less the value of the other"
+            tables = {"apart": make_table(title, "difference", bars)} | tables
+            apart = {"difference": Shown(today["difference"].value, today["difference"])}
         return Report(
             title="tornado",
             facts={
                 **self.table.criterion_facts,
                 **list_claim_facts("start_value", today["optimal"]),
                 "policy_value": Shown(today["fixed"].value, today["fixed"]),
+                **apart,
                 "regret": Shown(lost.value, lost),
                 "bars": bars.to_dict("records"),
             },
-            tables={
-                "bars": make_table("re-optimised; regret of the policy held fixed", "value"),
-                "held": make_table("held fixed", "fixed_value", held),
-            },
+            tables=tables,
         )
 
-    def frame(self, by: str = "swing") -> DataFrame:
-        """Return one row for each parameter; values and regrets in units of reward."""
+    def frame(self, by: str | None = None) -> DataFrame:
+        """Return one row for each parameter; values and regrets in units of reward.
+
+        Rows are in descending order of `by`: the "swing" of the optimum, the "fixed_swing" of the
+        policy held fixed or, by default if there is another policy, the "difference_swing".
+        """
         spans, study = self.spans, self.table
         table = data_frame(
             {
@@ -121,10 +152,17 @@ class Tornado(Pictured):
             table[f"value_{end}"] = study.optimal[rows]
             table[f"fixed_value_{end}"] = study.fixed[rows, 0]
             table[f"regret_{end}"] = study.regret[rows, 0]
-        for swing, what in (("swing", "value"), ("fixed_swing", "fixed_value")):
+        swings = {"swing": "value", "fixed_swing": "fixed_value"}
+        if self.compares:
+            apart = self.differences
+            table["difference_low"], table["difference_high"] = apart[1::2], apart[2::2]
+            swings["difference_swing"] = "difference"
+        for swing, what in swings.items():
             table[swing] = (table[f"{what}_high"] - table[f"{what}_low"]).abs()
         table["regret"] = table[["regret_low", "regret_high"]].max(axis=1)
         table["claim"] = str(study.claim)
+        if by is None:
+            by = "difference_swing" if self.compares else "swing"
         return table.sort_values(by, ascending=False, kind="stable", ignore_index=True)
 
 
@@ -210,6 +248,7 @@ def tornado(
     model: Scenario | MDP | Parametric,
     *,
     policy: PolicyLike = "optimal",
+    against: PolicyLike | None = None,
     names: Iterable[str] | None = None,
     ranges: Stated | None = None,
     relative: object | None = None,
@@ -224,6 +263,9 @@ def tornado(
     model : Scenario, MDP or Parametric
     policy : PolicyLike
         The policy held fixed, whose regret is given as well; "optimal" is today's optimum.
+    against : PolicyLike, optional
+        Another policy held fixed. The bars are then those of the difference, the value of `policy`
+        less the value of this one: for net benefits, the incremental net benefit.
     names : iterable of str, optional
         The parameters; by default the keys of `ranges`, or all parameters without ranges.
     ranges : {name: (low, high)} or the name of a .toml file of them, optional
@@ -262,10 +304,11 @@ def tornado(
     columns = {}
     for name in design[0]:
         columns[name] = [point[name] for point in design]
+    held = [policy] if against is None else [policy, against]
     return Tornado(
         model=family.name,
         spans={parameter_of(family, name): span for name, span in spans.items()},
-        table=study(family, columns, [policy], criterion=criterion),
+        table=study(family, columns, held, criterion=criterion),
     )
 
 

@@ -365,6 +365,9 @@ def groups_of(
     By default each part alone, and together all parameters whose names begin with the same word.
     """
     place = {name: column for column, name in enumerate(chosen.names)}
+    if not place:
+        fix = "draw parameters, or give parameters= to CostEffectiveness.of"
+        raise ModelError("no parameter of the draws is known", where="EVPPI", fix=fix)
     if groups is None:
         alike: dict[str, list[str]] = {}
         for part in chosen.parts:

@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from math import isinf
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,13 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts, to_json_values
 from exact_mdp.mdp.result import DataFrame, Result, data_frame, frame_to_table
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.arguments import mdp_of
+from exact_mdp.solvers.arguments import (
+    Criterion,
+    OfCriterion,
+    is_average,
+    mdp_of,
+    require_average_applies,
+)
 from exact_mdp.solvers.claims import Bounded, Claim
 from exact_mdp.solvers.robust.likelihood import Likelihood
 from exact_mdp.solvers.robust.robust import (
@@ -49,7 +56,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RobustComparison(Result):
+class RobustComparison(OfCriterion, Result):
     """Values at the start under nominal, worst and best distributions, and their policies."""
 
     mdp: MDP
@@ -61,10 +68,11 @@ class RobustComparison(Result):
     optimistic: RobustSolution  # and for the best case
     robust_value: Bounded  # the robust policy in the nominal model
     robust_best: Bounded  # and in its best case
+    criterion: str = "total"  # or "average": all values are rewards per step
 
     def __repr__(self) -> str:
         return (
-            f"Robust(value {self.value}; worst case {self.worst}, under the robust policy "
+            f"Robust({self.measure} {self.value}; worst case {self.worst}, under the robust policy "
             f"{self.robust.start})"
         )
 
@@ -121,6 +129,7 @@ class RobustComparison(Result):
         return Report(
             title="robust",
             facts={
+                **self.criterion_facts,
                 **list_claim_facts("start_value", self.value),
                 "nature": "dynamic, independent in each state and action",
                 "worst_case": Shown(to_json_values(worst) | {"nominal_policy": self.worst}),
@@ -133,7 +142,9 @@ class RobustComparison(Result):
             },
             tables={
                 "values": Table(
-                    title="value at the start", rows=values, columns={"policy": "policy", **columns}
+                    title=f"{self.measure} at the start",
+                    rows=values,
+                    columns={"policy": "policy", **columns},
                 ),
                 "policy_changes": Table(
                     title="states in which the robust policy takes another action",
@@ -173,6 +184,7 @@ def robust(
     *,
     radius: object | None = None,
     policy: PolicyLike = "optimal",
+    criterion: Criterion = "total",
 ) -> RobustComparison:
     """Return the worst and the best case of a policy, and the policy with the best worst case.
 
@@ -186,6 +198,8 @@ def robust(
         x of a named set; by default 1/5, 1/10 and 1/100.
     policy : PolicyLike
         The nominal policy.
+    criterion : "total" or "average"
+        As for `solve_robust`.
 
     Returns
     -------
@@ -218,24 +232,28 @@ def robust(
         )
     # The given policy in the nominal model, and in its worst and best case.
     sets = ambiguity
-    chain = PolicyChain.of(model, policy)
+    if is_average(criterion):
+        require_average_applies(model)
+    chain = PolicyChain.of(model, policy, criterion=criterion)
+    asked: dict[str, Any] = {"criterion": criterion}
 
     def evaluate_case(weights: Floats, nature: Nature) -> Bounded:
-        return solve_robust(model, sets, nature=nature, policy=weights).start
+        return solve_robust(model, sets, nature=nature, policy=weights, **asked).start
 
     # The policy with the best worst case, and its value in the nominal model and its best case.
-    best = solve_robust(model, sets)
+    best = solve_robust(model, sets, **asked)
     own = best.policy.weights(model)
     return RobustComparison(
         mdp=model,
         policy=chain.weights,
-        value=evaluate(model, chain).start,
+        value=evaluate(model, chain, **asked).start,
         worst=evaluate_case(chain.weights, "worst"),
         best=evaluate_case(chain.weights, "best"),
         robust=best,
-        optimistic=solve_robust(model, sets, nature="best"),
-        robust_value=evaluate(model, own).start,
+        optimistic=solve_robust(model, sets, nature="best", **asked),
+        robust_value=evaluate(model, own, **asked).start,
         robust_best=evaluate_case(own, "best"),
+        criterion=criterion,
     )
 
 

@@ -112,12 +112,18 @@ def _rank_rows(columns: list[Any]) -> Any:
 
 
 def _rank_values(column: Numbers) -> Integers:
-    """Return (N,) ranks of values; fractions are told apart before they are sorted."""
+    """Return (N,) ranks of values; fractions are told apart before they are sorted.
+
+    Fractions made once are the same object wherever they occur, which is told without hashing.
+    """
     if column.dtype != object:
         return np.unique(column, return_inverse=True)[1]
     listed = column.tolist()
-    rank = {value: number for number, value in enumerate(sorted({*listed}))}
-    return np.array([rank[value] for value in listed], dtype=np.int64)
+    places = np.fromiter(map(id, listed), np.int64, len(listed))
+    _, first, copies = np.unique(places, return_index=True, return_inverse=True)
+    objects = [listed[number] for number in first.tolist()]
+    rank = {value: number for number, value in enumerate(sorted({*objects}))}
+    return np.array([rank[value] for value in objects], dtype=np.int64)[copies]
 
 
 def _is_sorted(offsets: Integers, following: Numbers) -> bool:

@@ -4,7 +4,8 @@
 
 The rows of a pair need not stand together. A state that no row leaves is an end. A single
 column `cost` in place of `reward` makes the sense "min". Every other column is a component of the
-reward; without a column `reward`, the reward is the sum of the components.
+reward; without a column `reward`, the reward is the sum of the components, and a column `cost`
+among them is refused unless the sense is given.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ class FromFrame(FromArrays):
             The columns state, action, next state, probability, and reward, or cost alone (whose
             sense is "min"). Capital letters do not matter, and s, a, next_state or to, p and r are
             read, too. Every other column is a component of the reward, which is their sum if there
-            is no reward. A state that no row leaves is an end. (`frame` prints no components.)
+            is no reward; a cost beside others then needs a `sense`. A state that no row leaves is
+            an end. (`frame` prints no components.)
         discount : number or "p/q"
         start, **names
             As in `from_arrays`; states, actions and components come from the table.
@@ -107,6 +109,12 @@ class FromFrame(FromArrays):
             if not Sense.of_options(names).costs:
                 fix = 'name the column "reward", or leave the sense out'
                 raise ModelError('costs have the sense "min"', where="sense", fix=fix)
+        if COST in parts and not paid and "sense" not in names:
+            raise ModelError(
+                "a column 'cost' beside other amounts may be what counts, or one amount of several",
+                where=where,
+                fix="add a column reward, or name the column otherwise and have all amounts added",
+            )
         # Gather the outcomes of each pair, with all their amounts.
         states, actions, pairs = Numbering(), Numbering(), dict[tuple[int, int], list[Any]]()
         kinds = (states, actions, states)

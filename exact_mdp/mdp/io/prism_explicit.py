@@ -129,7 +129,14 @@ def _read_rewards(
     for file in sorted(path.parent.glob(f"{path.stem}*rew")):
         structure = re.fullmatch(rf"{re.escape(path.stem)}(\d*)\.([st])rew", file.name)
         # NAME1.srew belongs to NAME1.tra, if there is such a model.
-        if structure is None or (structure[1] and file.with_suffix(".tra").exists()):
+        if file.with_suffix(".tra").exists() and file.stem != path.stem:
+            continue
+        if structure is None:
+            if file.name.startswith(f"{path.stem}."):
+                names = f"{path.stem}.srew for rewards of states, {path.stem}.trew of transitions"
+                raise ModelError(
+                    "no reward file of PRISM has this name", where=str(file), fix=f"call it {names}"
+                )
             continue
         own = found.setdefault(REWARD + structure[1], {})
         (_, head), *rows = _split_lines(file)

@@ -186,15 +186,16 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
             _refuse_names(model, array)
             return action_numbers(model, array)
         if timed and array.ndim == 2 and flatten_times(model, array).ndim == 1:
-            if array.shape[1] != model.n_actions:
+            if array.shape[1] != model.n_actions or find_table_axes(model, array.shape) is None:
                 return action_numbers(model, array)
             if kind == "auto" and ((array >= 0) & (array < model.n_actions)).all():
                 raise ModelError(
                     f"an array of shape {array.shape} may be action numbers by time and state, or "
                     "a table of states and actions, and the two differ",
                     where="policy",
-                    fix='give probabilities (N, S, A), or say kind="q" for a Q-table: '
-                    'Policy.of(model, array, kind="q"), in commands --kind q',
+                    fix=f"give probabilities (N, S, A), numpy.eye({model.n_actions})[array]; or "
+                    'say kind="q" for a Q-table: Policy.of(model, array, kind="q"), in commands '
+                    "--kind q",
                 )
     return policy_of_array(model, array, kind)
 

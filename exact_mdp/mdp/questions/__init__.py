@@ -7,12 +7,13 @@ model are also policies of its questions, so every analysis applies to them as i
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Protocol, Self, TypeVar
 
 from exact_mdp.mdp.questions.horizon import Horizon
 from exact_mdp.mdp.questions.origin import Origin as Origin
 from exact_mdp.mdp.questions.origin import Question as Question
-from exact_mdp.mdp.questions.origin import keep_origin
+from exact_mdp.mdp.questions.origin import keep_origin, origin_of
 from exact_mdp.mdp.questions.reaching import Reaching
 from exact_mdp.mdp.questions.step_weights import StepWeights
 from exact_mdp.mdp.questions.until import Component, Until
@@ -183,7 +184,7 @@ class Questions(Parts):
         Parameters
         ----------
         steps : int
-            N, 1 or more.
+            N, 0 or more. After 0 steps a value is the terminal one, and a probability is 1 or 0.
         terminal_value : (S,) numbers or {state: number}, optional
             The value of each state at time N; 0 by default, and for states that are not named. The
             last step earns it, discounted once, so the values of the states at time N themselves
@@ -196,7 +197,7 @@ class Questions(Parts):
         Raises
         ------
         ModelError
-            If `steps` is not a positive whole number, a terminal value is not finite, the new model
+            If `steps` is not a whole number from 0, a terminal value is not finite, the new model
             would not fit in memory, or the model already has a column `time`.
 
         Examples
@@ -209,6 +210,10 @@ class Questions(Parts):
         >>> mdp.table.row(mdp.pair(2, 0))
         [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
         """
-        steps = require_count(steps, "horizon")
+        steps, origin = require_count(steps, "horizon", least=0), origin_of(self)
+        if not steps and terminal_value is None and origin is not None and origin.asks_for_chance:
+            # A run that begins in a labelled state is there before the first step.
+            begun: Self = replace(origin, model=origin.model.within(0)).rebuild_model()
+            return begun
         answer = reduce_model(self, Horizon(steps, terminal_value))
         return keep_origin(answer, self, "within", steps=steps, terminal_value=terminal_value)

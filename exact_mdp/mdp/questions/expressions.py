@@ -24,7 +24,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.forms.names import text_of
-from exact_mdp.mdp.space import Integers, StateSpace
+from exact_mdp.mdp.space import Column, Integers, StateSpace
 from exact_mdp.mdp.validate import Flags, Parts
 
 COMPARED: dict[str, Callable[[Any, Any], bool]] = {
@@ -174,33 +174,37 @@ class Variable:
 
 def list_variables(space: StateSpace) -> dict[str, Variable]:
     """Return the variables of the states, by name."""
-    columns = space.columns
-    if len(columns) == 1 and columns[0].words:
-        named = [dict(re.findall(NAMED, word)) for word in columns[0].words]
-        names = {*named[0]}
-        if names and all({*each} == names for each in named):
-            return {name: _gather([each[name] for each in named], space) for name in named[0]}
+    variables: dict[str, Variable] = {}
+    for column in space.columns:
+        variables |= _list_parts(column, space.values(column.name))
+    return variables
+
+
+def _list_parts(column: Column, place: Integers) -> dict[str, Variable]:
+    """Return the variables that a column stands for, in states with these places (S,) in it."""
+    named = [dict(re.findall(NAMED, word)) for word in column.words]
+    if named and named[0] and all({*each} == {*named[0]} for each in named):
+        return {name: _gather([each[name] for each in named], place) for name in named[0]}
+    # States that are tuples have their parts.
     parts: dict[str, Variable] = {}
-    if len(columns) == 1:
-        # States that are tuples have their parts.
-        things = columns[0].objects
-        lengths = {len(thing) if isinstance(thing, tuple) else 0 for thing in things}
-        for place in range(max(lengths, default=0) if len(lengths) == 1 else 0):
-            texts = [text_of(thing[place]) for thing in things if isinstance(thing, tuple)]
-            parts[f"{columns[0].name}[{place}]"] = _gather(texts, space)
-    return parts | {
-        column.name: Variable(
-            values=tuple(map(column.label, range(column.size))),
-            number=space.values(column.name),
-            of_bits=column.bits > 0,
-        )
-        for column in columns
-    }
+    things = [thing for thing in column.objects if isinstance(thing, tuple)]
+    lengths = {*map(len, things)}
+    if len(things) == len(column.objects) and len(lengths) == 1:
+        for number in range(*lengths):
+            texts = [text_of(thing[number]) for thing in things]
+            parts[f"{column.name}[{number}]"] = _gather(texts, place)
+    parts[column.name] = Variable(
+        values=tuple(map(column.label, range(column.size))),
+        number=place,
+        of_bits=column.bits > 0,
+    )
+    return parts
 
 
-def _gather(words: list[str], space: StateSpace) -> Variable:
-    """Return the variable with these values in the states of the space, the extra ones apart."""
+def _gather(words: list[str], place: Integers) -> Variable:
+    """Return the variable with one of some values for each place in a column."""
     values = tuple(dict.fromkeys(words))
-    place = {value: number for number, value in enumerate(values)}
-    number = [*map(place.__getitem__, words), *(-1 for _ in space.extra)]
-    return Variable(values=values, number=np.array(number, dtype=np.int64))
+    numbers = {value: number for number, value in enumerate(values)}
+    # The last number is for states without the column, which have the place -1.
+    number = np.array([*map(numbers.__getitem__, words), -1], dtype=np.int64)
+    return Variable(values=values, number=number[place])

@@ -4,7 +4,8 @@
 
 The states of time t are a layer, which begins at t S'; extra states, such as an end, have no time
 and stand behind all layers (Puterman, Markov Decision Processes, 1994, section 4.3). An episode
-that is over stays in its layer. Terminal values are earned by the last step (`terminal_values`).
+that is over stays in its layer. Terminal values are earned by the last step (`terminal_values`);
+if N = 0, by a step in which nothing else happens.
 
 The way in: a policy over states, or an array by time and state (`flatten_times`). The way back:
 `split_by_time`, for numbers of the pairs; `StateSpace.untimed`, the states without their time.
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.questions.ending import NO_DATA, fill_certain
+from exact_mdp.mdp.questions.ending import NO_DATA, REACHED, fill_certain, make_terminal
 from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.questions.terminal_values import (
     add_terminal_values,
@@ -69,10 +70,29 @@ class Horizon:
                 where="state space",
                 fix="unroll the model that it was made from, or name that column differently",
             )
+        if REACHED in model.space.extra:
+            if any(layers.values):
+                raise ModelError(
+                    "the value is a probability, to which terminal values do not add",
+                    where="terminal_value",
+                    fix="leave it out",
+                )
+            if not self.steps:
+                raise ModelError(
+                    "without a step nothing is reached, and the label is no longer known",
+                    where="horizon",
+                    fix="ask the model that it was made from: mdp.within(0).reaching(LABEL)",
+                )
         layers.require_memory()
 
     def apply(self, model: Any) -> Any:
         """Return the model of episodes that stop."""
+        if not self.steps and any(read_terminal_values(self.terminal_value, model.space)):
+            # One step in which nothing happens earns the terminal values, without discount.
+            waits = np.ones(model.n_states, dtype=bool)
+            still = make_terminal(model, waits, discount_exact=Fraction(1))
+            paid = replace(self, steps=1).apply(still)
+            return replace(paid, discount_exact=model.discount_exact)
         layers, states, first = self._lay_out(model), model.n_states, model.pair_offsets[:-1]
         one, pairs, names = layers.table, layers.pairs, model.component_names
 

@@ -41,9 +41,14 @@ class Origin:
     questions: tuple[Question, ...]
 
     @property
+    def asks_for_chance(self) -> bool:
+        """Whether the answer is the probability of a label."""
+        return any(each.method == "reaching" for each in self.questions)
+
+    @property
     def paid(self) -> bool:
         """Whether there are terminal values that count; they do not count in a probability."""
-        if any(each.method == "reaching" for each in self.questions):
+        if self.asks_for_chance:
             return False
         return any(each.options.get("terminal_value") is not None for each in self.questions)
 
@@ -89,7 +94,7 @@ def keep_origin_changed(
     if "discount_exact" in changes:
         return
     if discount is not None:
-        if any(question.method == "reaching" for question in before.questions):
+        if before.asks_for_chance:
             return
         before = replace(before, model=before.model.with_(discount=discount))
     if changes:

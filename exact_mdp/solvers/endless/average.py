@@ -17,7 +17,6 @@ which every policy ends, with bounds by `bounds`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import partial
 from time import perf_counter
 from typing import Self
@@ -45,7 +44,7 @@ from exact_mdp.solvers.dynamic.methods import (
 )
 from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration, Improved
 from exact_mdp.solvers.endless.chain import FloatChain
-from exact_mdp.solvers.endless.quotient import build_quotient
+from exact_mdp.solvers.endless.quotient import stop_in_components
 from exact_mdp.solvers.solution import Solution, answer_maximised
 
 
@@ -142,11 +141,7 @@ def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
     if count == 1:
         return np.full(step.n_states, top[0])
     # In a model of the pairs outside, each end component is one state, with a stop of that value.
-    passed = component < 0
-    component[passed] = count + np.arange(int(passed.sum()))
-    pairs = np.flatnonzero(~inside)
-    stops = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
-    model = build_quotient(step, pairs, component, zero_rewards=True, stops=stops)
+    model = stop_in_components(step, component, ~inside, top)
     solution = PolicyIteration().solve_rewards(model.mdp)
     most = np.nextafter(solution.value + solution.state_error * SLACK, np.inf)
     return np.asarray(most[model.new_state])

@@ -41,6 +41,7 @@ from exact_mdp.solvers.endless.quotient import (
     build_quotient,
     choose_first_pairs,
     choose_nearer_pairs,
+    merge_components,
 )
 from exact_mdp.solvers.exact.find import best_average, no_falling
 from exact_mdp.solvers.solution import Solution
@@ -171,21 +172,12 @@ class ImproperPolicies:
 
         Some of its policies may still be improper: they lose in cycles.
         """
-        mdp, (component, inside) = self.mdp, self._merged
-        live = (self.sign == 0) & ~mdp.ends.destination
-        pairs = live[mdp.pair_state] & self.graph.find_pairs_within(self.sign == 0) & ~inside
+        finite = self.sign == 0
+        live = finite & ~self.mdp.ends.destination
+        kept = live[self.mdp.pair_state] & self.graph.find_pairs_within(finite)
         # Without a goal, a component has a pair to the end, and is an end if it cannot be left.
-        numbers = np.unique(component[component >= 0])
-        stops: list[tuple[int, Fraction]] = []
-        if not mdp.ends.has_goal:
-            numbers = np.unique(component[self.graph.find_states_with(pairs) & (component >= 0)])
-            stops = [(number, Fraction(0)) for number in range(len(numbers))]
-        new_state = np.full(mdp.n_states, -1)
-        merged = np.isin(component, numbers)
-        new_state[merged] = np.searchsorted(numbers, component[merged])
-        single = live & (component < 0)
-        new_state[single] = len(numbers) + np.arange(int(single.sum()))
-        return self.build_part(pairs, new_state, stops)
+        may_stop = not self.mdp.ends.has_goal
+        return self.build_part(*merge_components(self.graph, kept, self._merged, may_stop=may_stop))
 
     def build_part(
         self, pairs: Mask, new_state: Integers, stops: Sequence[tuple[int, Fraction]] = ()

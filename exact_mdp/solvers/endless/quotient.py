@@ -164,6 +164,46 @@ def build_quotient(
     return Quotient(mdp=model, new_state=new_state, source=source)
 
 
+def merge_components(
+    graph: PairGraph, kept: Mask, merged: tuple[Integers, Mask], *, may_stop: bool
+) -> tuple[Mask, Integers, list[tuple[int, Fraction]]]:
+    """Return pairs (L,), new states (S,) and stops of the model in which components are states.
+
+    `merged` has the component (S,) of each state, or -1, and the pairs (L,) inside, which are left
+    out of those that are `kept` (L,). States that no pair leaves become the end; all others that
+    were merged have a stop if a run `may_stop` in them.
+    """
+    component, inside = merged
+    pairs = kept & ~inside
+    left = graph.find_states_with(pairs)
+    numbers = np.unique(component[left & (component >= 0)])
+    new_state = np.full(graph.states, -1)
+    joined, single = np.isin(component, numbers), left & (component < 0)
+    new_state[joined] = np.searchsorted(numbers, component[joined])
+    new_state[single] = len(numbers) + np.arange(int(single.sum()))
+    stops = [(number, Fraction(0)) for number in range(len(numbers) * may_stop)]
+    return pairs, new_state, stops
+
+
+def extract_components(mdp: MDP, component: Integers, inside: Mask) -> Quotient:
+    """Return the components (S,), and pairs (L,), as a model with an end that none reaches."""
+    chosen = component >= 0
+    new_state = np.where(chosen, np.cumsum(chosen) - 1, -1)
+    return build_quotient(mdp, np.flatnonzero(inside), new_state)
+
+
+def stop_in_components(mdp: MDP, component: Integers, pairs: Mask, worth: Floats) -> Quotient:
+    """Return the model of some pairs (L,), without rewards, in which components are left or stop.
+
+    Each component becomes a state with a stop of its worth (C,). `component` (S,) has the number of
+    each state, or -1: then it stays a state of its own.
+    """
+    new_state, passed = component.copy(), component < 0
+    new_state[passed] = len(worth) + np.arange(int(passed.sum()))
+    stops = [(number, Fraction(value)) for number, value in enumerate(worth.tolist())]
+    return build_quotient(mdp, np.flatnonzero(pairs), new_state, zero_rewards=True, stops=stops)
+
+
 def choose_nearer_pairs(graph: PairGraph, target: Mask, pairs: Mask, chosen: Integers) -> None:
     """Write into `chosen` (S,) one of some pairs (L,) that leads nearer to the target (S,)."""
     distance = graph.compute_distance(target, pairs)

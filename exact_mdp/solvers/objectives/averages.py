@@ -98,16 +98,9 @@ def _build_row(step: MDP, pair: int, times: Sequence[int], base: int, *, met: bo
 
 def _find_base(step: MDP) -> int:
     """Return a state that every policy visits again and again from the start."""
-    graph, met = PairGraph.of(step), find_reachable_states(step)
-    among, found = met[step.pair_state], met.copy()
-    while found.any():
-        # A base is in every end component: one without the candidate leaves its own states.
-        base = int(found.argmax())
-        away = among & (step.pair_state != base) & ~graph.find_pairs_into(_mark(step, base))
-        label, _ = graph.end_components(away)
-        if (label < 0).all():
-            return base
-        found &= label == 0
+    base = PairGraph.of(step).find_base(find_reachable_states(step)[step.pair_state])
+    if base is not None:
+        return base
     raise ModelError(
         "no state is visited again and again by every policy, so that averages of several amounts "
         "are not totals of one model",

@@ -33,7 +33,12 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask, find_reachable_states, find_start_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, to_integer_array
-from exact_mdp.solvers.endless.quotient import Quotient, build_quotient
+from exact_mdp.solvers.endless.quotient import (
+    Quotient,
+    build_quotient,
+    extract_components,
+    merge_components,
+)
 from exact_mdp.solvers.exact.find import best_average
 
 Column = tuple[Numbers, Numbers]
@@ -116,19 +121,12 @@ class FiniteTotals:
                 where=self.given.space.place(int(lost[0])),
                 fix=ways_out(self.given),
             )
-        component, inside = self._merged
-        leaving = self._kept & ~inside
         # Components that are not left are ends, which only a model without a goal has.
-        numbers = np.unique(component[self.graph.find_states_with(leaving) & (component >= 0)])
-        stops: list[tuple[int, Fraction]] = []
-        if self.given.goal is None:
-            stops = [(number, Fraction(0)) for number in range(len(numbers))]
-        new_state = np.full(self.ending.n_states, -1)
-        merged = np.isin(component, numbers)
-        new_state[merged] = np.searchsorted(numbers, component[merged])
-        single = self.graph.find_states_with(leaving) & (component < 0)
-        new_state[single] = len(numbers) + np.arange(int(single.sum()))
-        quotient = build_quotient(self.ending, np.flatnonzero(leaving), new_state, stops=stops)
+        may_stop = self.given.goal is None
+        pairs, new_state, stops = merge_components(
+            self.graph, self._kept, self._merged, may_stop=may_stop
+        )
+        quotient = build_quotient(self.ending, np.flatnonzero(pairs), new_state, stops=stops)
         start = dict[int, Fraction]()
         for state, share in self.given.start:
             own = int(quotient.new_state[state])
@@ -230,9 +228,7 @@ def _find_gain_sign(mdp: MDP, pairs: Mask, column: Column) -> int:
     if not (amounts[inside] > 0).any():
         _, idle = graph.end_components(inside & np.asarray(amounts == 0, dtype=bool))
         return int(idle.any()) - 1
-    chosen = component >= 0
-    new_state = np.where(chosen, np.cumsum(chosen) - 1, -1)
-    own = build_quotient(mdp, np.flatnonzero(inside), new_state)
+    own = extract_components(mdp, component, inside)
     table = own.mdp.table.with_reward(*carry_over(own, column))
     _, (gain, *_) = best_average(own.mdp.with_(table=table))
     greatest = max(gain.top[:-1])  # the last state is an end, which none reaches

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import find_reachable_nodes
+from exact_mdp.mdp.graph import Mask, find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, UNIT, Advantages, choose_greedy_pairs
@@ -58,10 +58,11 @@ class Game:
         self.mdp, self.ambiguity, self.against, self.weights = mdp, ambiguity, against, weights
         self.rewards = True  # whether rewards count
         self.live = np.flatnonzero(live)
-        # A given policy leaves only the pairs that it takes.
+        # A given policy leaves only the pairs that it takes; where a part can stop, it does.
         taken = live[mdp.pair_state]
         if weights is not None:
-            taken &= np.append(weights > 0, False)[source]
+            self.weights = np.where(source < 0, 1.0, np.append(weights, 0.0)[source])
+            taken &= self.weights > 0
         self.pairs = np.flatnonzero(taken)
         self.source = source[self.pairs]
         state = mdp.pair_state[self.pairs]
@@ -92,7 +93,7 @@ class Game:
     def choose_pairs(self, q: Floats) -> Floats:
         """Return (U,) the probability with which the agent takes each pair, given values (U,)."""
         if self.weights is not None:
-            share = self.weights[self.source]
+            share = self.weights[self.pairs]
             return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
         # The first of the best pairs in each state.
         best = np.maximum.reduceat(q, self.first)
@@ -100,6 +101,16 @@ class Game:
         share = np.zeros(len(q))
         share[np.minimum.reduceat(number, self.first)] = 1.0
         return share
+
+    def keep_pairs(self, share: Floats, asked: Inner, doubt: Floats) -> Floats:
+        """Return shares (U,), as they are where no pair is better beyond rounding, `doubt` (T,)."""
+        least = np.maximum.reduceat(asked.low, self.first) - doubt
+        kept = self.average_pairs(share, asked.high) + doubt >= least
+        return np.where(kept[self.row_state], share, self.choose_pairs(asked.value))
+
+    def list_pairs(self, share: Floats) -> Integers:
+        """Return (T,) the last pair of each state that the agent takes, given its shares (U,)."""
+        return np.asarray(np.maximum.reduceat(np.where(share > 0, self.pairs, -1), self.first))
 
     def take_pairs(self, pairs: Integers) -> Floats:
         """Return the shares (U,) of a policy that takes one pair (S,) in each state."""
@@ -177,6 +188,17 @@ class Game:
                 break
             pairs = better
         return pairs, value, found
+
+
+def find_closed_pairs(mdp: MDP, ambiguity: Ambiguity, weights: Floats | None) -> Mask:
+    """Return (L,) True for pairs of which nature can make an outcome impossible.
+
+    Only pairs that a policy takes count, and none of terminal states.
+    """
+    closed = ~ambiguity.keeps_outcomes(mdp) & ~mdp.terminal[mdp.pair_state]
+    if weights is not None:
+        closed &= weights > 0
+    return np.asarray(closed)
 
 
 def verify_margins(game: Game) -> tuple[Floats, Floats]:

@@ -6,8 +6,8 @@ itself, and `endless.improper` applies with three changes:
 
 - What a pair earns is judged by all of its outcomes, as nature chooses their probabilities.
 - Where a component has both gains and losses, the best gain g is that against nature. With T the
-  right side of the robust equation, T h > h for some h proves g > 0, and T h < h that g < 0; value
-  iteration finds h, with half a step at a time, so that it does not oscillate.
+  right side of the robust equation, T h > h for some h proves g > 0, and T h < h that g < 0; h is
+  found as for an average reward (`average`).
 - Pairs are left out so that every policy ends, and the robust values V of what remains are those of
   the whole if each omitted pair is worth less than V. For let nature choose what is best for it at
   V. Under these rows V is not exceeded by a policy that ends; any other has a recurrent class with
@@ -44,11 +44,12 @@ from exact_mdp.solvers.endless.quotient import (
     choose_first_pairs,
     choose_nearer_pairs,
 )
-from exact_mdp.solvers.robust.game import Game
+from exact_mdp.solvers.robust.average import bound_gains
+from exact_mdp.solvers.robust.game import Game, find_closed_pairs
 from exact_mdp.solvers.robust.sets import Ambiguity
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-STEPS = 1000  # of value iteration for a gain; more are needed only where it is almost 0
+STEPS = 1000  # of the search for a gain; a few dozen are usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +77,7 @@ class RobustImproperPolicies(ImproperPolicies):
     @cached_property
     def closed(self) -> Mask:
         """(L,) True for pairs of the given model of which nature can make an outcome impossible."""
-        closed = ~self.ambiguity.keeps_outcomes(self.given)
-        closed &= ~self.given.terminal[self.given.pair_state]
-        if self.weights is not None:
-            closed &= self.weights > 0
-        return np.asarray(closed)
+        return find_closed_pairs(self.given, self.ambiguity, self.weights)
 
     def require_applicable(self) -> None:
         """Raise ModelError if nature can close a way, or if gains and losses may cancel."""
@@ -184,23 +181,12 @@ class RobustImproperPolicies(ImproperPolicies):
 
         `own` is a model of components, whose last state is an end that none reaches.
         """
-        game, value = self.build_game(own), np.zeros(own.mdp.n_states)
         # Number the components from 0.
         states = own.new_state < own.mdp.n_states - 1
         component = np.unique(self.maximal[0][states], return_inverse=True)[1]
-        count = int(component.max()) + 1
-        for _ in range(STEPS):
-            asked, here = game.solve_inner_problem(value), value[game.live]
-            share, doubt = game.choose_pairs(asked.value), game.bound_rounding(value, asked)
-            least, greatest = np.full(count, np.inf), np.full(count, -np.inf)
-            np.minimum.at(least, component, game.average_pairs(share, asked.low) - here - doubt)
-            np.maximum.at(greatest, component, game.back_up_pairs(asked.high) - here + doubt)
-            sign = (least > 0).astype(np.int64) - (greatest < 0)
-            if sign.all():
-                break
-            value[game.live] += (game.average_pairs(share, asked.value) - here) / 2
-        chosen = np.maximum.reduceat(np.where(share > 0, game.pairs, -1), game.first)
-        return sign[component], chosen
+        number = np.append(component, component.max() + 1)
+        found = bound_gains(self.build_game(own), number, 0.0, STEPS)
+        return found.sign[component], found.pairs
 
     # ---- the finite model --------------------------------------------------------------------
 

@@ -32,10 +32,12 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers
+from exact_mdp.solvers.arguments import Criterion, OfCriterion, is_average, require_average_applies
 from exact_mdp.solvers.bounds.gains import RELATIVE_TOLERANCE, SLACK, BoundedVector
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import check_counts, check_tolerance
 from exact_mdp.solvers.exact.find import one_sign
+from exact_mdp.solvers.robust.average import RobustAverages, choose_tolerance
 from exact_mdp.solvers.robust.game import Game, verify_margins
 from exact_mdp.solvers.robust.improper import RobustImproperPolicies
 from exact_mdp.solvers.robust.sets import Ambiguity, Inner
@@ -47,7 +49,7 @@ OF_OUTCOME = 360  # bytes for each outcome, measured over the analysis of both s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RobustSolution(Found, Result):
+class RobustSolution(OfCriterion, Found, Result):
     """Robust values with error bounds for every state, and the choices that attain them.
 
     |value - V*| is at most `state_error`, and so is |value - V^π| for the policy found here. Values
@@ -57,11 +59,12 @@ class RobustSolution(Found, Result):
     nature: Nature  # "worst" is against the agent, "best" with it
     transition: sp.csr_array  # (S, S) under the policy and nature's choice
     reward: Floats  # (S,) expected rewards under both
+    criterion: str = "total"  # or "average": the value is the reward per step
 
     def __repr__(self) -> str:
         return (
-            f"RobustSolution({self.mdp.sense}, nature {self.nature}: start value {self.start}, "
-            f"iterations: {self.iterations}, {self.seconds:.3g} s; {self.status})"
+            f"RobustSolution({self.mdp.sense}, nature {self.nature}: start {self.measure} "
+            f"{self.start}, iterations: {self.iterations}, {self.seconds:.3g} s; {self.status})"
         )
 
 
@@ -73,6 +76,7 @@ def solve_robust(
     policy: PolicyLike | None = None,
     tol: float | None = None,
     max_iterations: int = 100_000,
+    criterion: Criterion = "total",
 ) -> RobustSolution:
     """Return the value of the best policy, or of a given one, if nature chooses distributions.
 
@@ -88,6 +92,9 @@ def solve_robust(
         Greatest absolute error in any state; 1e-9 · max(1, |V|) by default.
     max_iterations : int
         The most steps in which nature and the agent choose again.
+    criterion : "total" or "average"
+        The total reward with the model's discount, or the average reward per step in the long run,
+        whatever the discount.
 
     Returns
     -------
@@ -97,7 +104,8 @@ def solve_robust(
     ------
     ModelError
         If the sets do not fit the model; at discount 1, if gains and losses may cancel forever, if
-        +∞ and -∞ meet, or if nature can make outcomes impossible and so prevent the end.
+        +∞ and -∞ meet, or if nature can make outcomes impossible and so prevent the end; for an
+        average, if it can do so and no state is visited again and again.
     SolverError
         At the iteration limit, or if double precision cannot bound the error.
 
@@ -121,28 +129,36 @@ def solve_robust(
     require_amounts(model.table, "a value under other rows")
     check_tolerance("robust", tol)
     check_counts("robust", max_iterations=max_iterations)
+    average = is_average(criterion)
+    if average:
+        require_average_applies(model)
     # Solve the model of maximised rewards; a given policy fixes the probabilities of pairs.
     if policy is None:
         weights, endless = None, model.ends.has_improper_policy
     else:
-        chain = PolicyChain.of(model, policy)
+        chain = PolicyChain.of(model, policy, criterion=criterion)
         weights = chain.weights
         endless = model.discount_exact == 1 and not chain.reaches_goal.all()
     mdp, against = model.maximised, nature == "worst"
     game = Game(mdp, ambiguity, against=against, weights=weights)
     with np.errstate(over="ignore", invalid="ignore"):
-        if endless:
+        if average:
+            steps = RobustAverages(mdp.undiscounted, ambiguity, against, weights)
+            found, pairs, distributions = _solve_average(steps, tol, max_iterations)
+        elif endless:
             improper = RobustImproperPolicies.of(mdp, ambiguity, against=against, weights=weights)
             found, pairs = _solve_finite_part(improper, tol, max_iterations)
             # Nature's choice where the value is infinite does not matter for finite values.
-            asked = game.solve_inner_problem(np.where(np.isinf(found.value), 0.0, found.value))
+            finite = np.where(np.isinf(found.value), 0.0, found.value)
+            distributions = game.solve_inner_problem(finite).distributions
         else:
             found = _iterate_values(game, tol, max_iterations)
-            asked, pairs = found.asked, found.choose_pairs(game)
-    share = game.choose_pairs(asked.value)
+            distributions, pairs = found.asked.distributions, found.choose_pairs(game)
     if policy is None:
         share = game.take_pairs(pairs)
-    transition, earned = game.build_chain(asked.distributions, share)
+    else:
+        share = game.choose_pairs(np.zeros(len(game.pairs)))
+    transition, earned = game.build_chain(distributions, share)
     if found.status is Status.PRECISION:
         warn_of_precision(float(found.error.max()))
     return RobustSolution(
@@ -153,10 +169,34 @@ def solve_robust(
         pairs=pairs if policy is None else None,
         transition=transition,
         reward=model.sense.orient(earned),
+        criterion=criterion,
         status=found.status,
         iterations=found.iterations,
         seconds=perf_counter() - started,
     )
+
+
+def _solve_average(
+    averages: RobustAverages, tol: float | None, max_iterations: int
+) -> tuple[_Iterated, Integers, list[Floats]]:
+    """Return gains (S,), the pairs (S,) that attain them, and nature's choice."""
+    gains = averages.bound_gains(tol, max_iterations)
+    part, game = averages.apply(gains)
+    limit = float(np.max(choose_tolerance(tol, gains.middle))) / 2
+    found = _iterate_values(game, limit, max_iterations)
+    status = found.status
+    if gains.status is Status.PRECISION:
+        status = gains.status
+    value = found.value[part.new_state]
+    each = replace(
+        found,
+        value=value,
+        error=(found.error[part.new_state] + gains.error) * SLACK,
+        status=status,
+        iterations=gains.iterations + found.iterations,
+    )
+    pairs = averages.lift_policy(part, gains, found.choose_pairs(game))
+    return each, pairs, averages.choose_distributions(gains, value)
 
 
 def require_room_for_rows(model: MDP) -> None:

@@ -515,9 +515,7 @@ def evaluate(
     if is_average(criterion):
         require_no_horizon(horizon)
         require_average_applies(mdp)
-        if isinstance(policy, str) and policy == "optimal":
-            policy = solve(mdp, criterion="average")
-        return evaluate_average(PolicyChain.of(mdp, policy, kind=kind))
+        return evaluate_average(PolicyChain.of(mdp, policy, kind=kind, criterion="average"))
     if horizon is not None:
         mdp = mdp.within(horizon)
     given = PolicyChain.of(mdp, policy, kind=kind)

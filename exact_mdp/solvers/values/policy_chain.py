@@ -91,11 +91,19 @@ class PolicyChain:
     policy: Policy | None = None  # the source of `chosen`, with the exact probabilities
 
     @classmethod
-    def of(cls, mdp: MDP, policy: PolicyLike | PolicyChain, *, kind: str = "auto") -> PolicyChain:
+    def of(
+        cls,
+        mdp: MDP,
+        policy: PolicyLike | PolicyChain,
+        *,
+        kind: str = "auto",
+        criterion: Criterion = "total",
+    ) -> PolicyChain:
         """Return the chain of a policy in any form that `evaluate` takes.
 
-        Beside the forms of `Policy.of`, these are "optimal" (the model is solved), a solution or a
-        certificate (its policy is taken), a chain of this model, and (L,) probabilities of pairs.
+        Beside the forms of `Policy.of`, these are "optimal" (the model is solved, by `criterion`),
+        a solution or a certificate (its policy is taken), a chain of this model, and (L,)
+        probabilities of pairs.
         """
         if isinstance(policy, PolicyChain):
             if policy.mdp is not mdp:
@@ -108,7 +116,7 @@ class PolicyChain:
         wanted = (mdp.n_pairs,)
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.shape == wanted:
             return cls(mdp=mdp, chosen=_require_weights(mdp, policy))
-        return cls.of_policy(mdp, policy_of(mdp, policy, kind=kind))
+        return cls.of_policy(mdp, policy_of(mdp, policy, kind=kind, criterion=criterion))
 
     @classmethod
     def of_policy(cls, mdp: MDP, policy: Policy) -> PolicyChain:

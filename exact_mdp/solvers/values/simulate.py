@@ -213,8 +213,8 @@ def simulate(
     # Below discount 1, find the number of steps after which an episode may be cut off.
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max())
     missing = float(1 - mdp.discount_exact)
-    limit = horizon
-    if limit is None and missing:
+    limit = None
+    if horizon is None and missing:
         # The greatest return is size / (1 - γ); rewards after t steps add at most γ^t of it, and
         # 1e-12 is less than any sample can show.
         if missing == 1:

@@ -107,7 +107,7 @@ def cohort_trace(
         # The number of each state without its time; extra states come last.
         states, last = np.arange(mdp.n_states), mdp.space.regular
         own = np.where(states < last, states % space.regular, states - last + space.regular)
-    count = require_count(steps, "steps")
+    count = require_count(steps, "steps", least=0)
     if (count + 1) * space.size * 8 > MOST_BYTES:
         what = f"{count:,} steps of {space.size:,} states take more than {MOST_BYTES / 1e9:g} GB"
         raise ModelError(what, where="steps", fix="choose fewer steps")

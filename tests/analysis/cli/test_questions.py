@@ -200,6 +200,30 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
     assert run("curve", model, "--parameter", "discount").status == 0
 
 
+def test_fronts_weights_and_risks_take_questions(tmp_path: Path) -> None:
+    """Time and energy until a goal: slow takes (3, 1), fast (1, 4); half of fast leaps ahead."""
+    half, sure = "1/2", 1
+    rows = [
+        (0, 0, [(sure, 1, {"time": 3, "energy": 1})]),
+        (0, 1, [(half, 1, {"time": 1, "energy": 4}), (half, 2, {"time": 1, "energy": 4})]),
+        (1, 0, [(sure, 2, {"time": 3, "energy": 1})]),
+        (2, 0, [(sure, 2, {"time": 9, "energy": 9})]),
+    ]
+    model = str(tmp_path / "way.npz")
+    MDP.from_outcomes(rows, labels={"goal": {2}}, actions=["slow", "fast"]).save(model)
+    words = ("--until", "goal", "--minimize")
+    front = run("tradeoff", model, "time", "energy", *words, "--json").result
+    assert [[*each["values"].values()] for each in front["vertices"]] == [
+        ["5/2", "9/2"],
+        ["6", "2"],
+    ]
+    assert run("tradeoff", model, "time", "energy", "--minimize").refusal()  # it goes on forever
+    weights = run("rationalize", model, "always:slow", *words, "--json").result
+    assert weights["change"] == "1/6"  # 7/2 times more time against 5/2 more energy
+    risk = run("risk", model, "--cvar", "1/4", *words, "--json").result
+    assert risk["value"] == "8"
+
+
 def test_infinite_values_cause_no_warnings_of_other_packages(tmp_path: Path) -> None:
     done = run("solve yuan2025 --set tasks=[1] --set max_trial=2 --until skipped")
     assert "inf" in done.out

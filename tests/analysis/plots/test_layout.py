@@ -210,3 +210,17 @@ def test_names_stay_text(tmp_path: Path) -> None:
     for module in iter_modules(plots.__path__):  # and every figure is drawn so
         for name, function in vars(import_module(f"{plots.__name__}.{module.name}")).items():
             assert not name.startswith("plot_") or hasattr(function, "__wrapped__"), name
+
+
+def test_a_horizon_has_a_row_for_each_state_and_a_column_for_each_time() -> None:
+    """The loss of a state at a time is the fill of its cell; `time=0` draws the grid again."""
+    lake = MDP.from_gymnasium("FrozenLake-v1")
+    audit = check(lake, "always:DOWN", horizon=4)
+    ax = audit.plot()
+    rows, columns = labels(ax)
+    assert (len(rows), rows[:2], columns) == (16, ["0, 0", "0, 1"], [*"01234"])
+    assert (ax.get_ylabel(), ax.get_xlabel()) == ("row, column", "time")
+    wrong = {cell for cell, text in texts(ax).items() if text.startswith("✗")}
+    assert wrong == {(each.state % 16, each.state // 16) for each in audit.disagreements}
+    assert labels(audit.plot(time=0)) == ([*"0123"], [*"0123"])
+    assert labels(audit.plot(down="time", across=["row", "column"]))[0] == [*"01234"]

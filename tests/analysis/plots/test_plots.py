@@ -6,7 +6,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from picture_texts import legend_of, texts_of
 
@@ -71,33 +70,31 @@ HALL = MANY.with_(states=HALLS)
 FEW = MDP.from_arrays(np.eye(30)[np.newaxis], np.arange(30.0), 0.9, states=HALLS[:30])
 
 
-def _small() -> Axes:
-    return plt.subplots(figsize=(5.5, 3.8), layout="constrained")[1]
-
-
+@pytest.mark.parametrize("size", [None, (5.5, 3.8), (3.3, 3.9)])
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda: tornado(SMALL, policy="random").plot(),
-        lambda: gradient(SMALL, exact=False).plot(),
-        lambda: tornado(MAINTENANCE, names=["discount"]).plot(),
-        lambda: evaluate(EVEN, "random").plot(visits=True),
-        lambda: solve(EVEN).plot(),
-        lambda: plots.plot_policy(EVEN, "random"),
-        lambda: solve(MANY).plot(),
-        lambda: check(MANY, [0] * 200).plot(),
-        lambda: solve(HALL).plot(),
-        lambda: solve(HALL).plot(_small()),
-        lambda: solve(FEW).plot(_small()),
-        lambda: check(FEW, [0] * 30).plot(),
-        lambda: plots.plot_policy(FEW, [0] * 30),
-        lambda: thresholds(SMALL, "reward.assist.directive", relative=1).plot(),
-        lambda: curve(MAINTENANCE, "discount").plot(),
-        lambda: return_distribution(SMALL.compile(), "random").plot(),
+        lambda ax: tornado(SMALL, policy="random").plot(ax),
+        lambda ax: gradient(SMALL, exact=False).plot(ax),
+        lambda ax: tornado(MAINTENANCE, names=["discount"]).plot(ax),
+        lambda ax: evaluate(EVEN, "random").plot(ax, visits=True),
+        lambda ax: solve(EVEN).plot(ax),
+        lambda ax: plots.plot_policy(EVEN, "random", ax=ax),
+        lambda ax: solve(MANY).plot(ax),
+        lambda ax: check(MANY, [0] * 200).plot(ax),
+        lambda ax: solve(HALL).plot(ax),
+        lambda ax: solve(FEW).plot(ax),
+        lambda ax: check(FEW, [0] * 30).plot(ax),
+        lambda ax: plots.plot_policy(FEW, [0] * 30, ax=ax),
+        lambda ax: thresholds(SMALL, "reward.assist.directive", relative=1).plot(ax),
+        lambda ax: curve(MAINTENANCE, "discount").plot(ax),
+        lambda ax: return_distribution(SMALL.compile(), "random").plot(ax),
+        lambda ax: plots.plot_influence(SMALL, ax=ax),
     ],
 )
-def test_no_text_is_cut_or_covered(draw) -> None:
-    ax = draw()
+def test_no_text_is_cut_or_covered(draw: Any, size: tuple[float, float] | None) -> None:
+    ax = None if size is None else plt.subplots(figsize=size, layout="constrained")[1]
+    ax = draw(ax)
     figure = ax.figure
     assert ax.get_title(loc="left")[:1].isupper()
     figure.canvas.draw()

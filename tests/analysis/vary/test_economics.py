@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
+from cli_runner import run, strict
 from matplotlib.figure import Figure
 from picture_texts import legend_of, texts_of
 
 from exact_mdp import (
     MDP,
+    CostEffectiveness,
     Family,
     ModelError,
     Parameter,
@@ -161,6 +163,33 @@ def test_a_tornado_shows_the_policy_that_was_given() -> None:
         ax = bars.plot()
         assert said in ax.get_xlabel()
         assert ax.lines[0].get_xdata()[0] == bars.today["fixed"].value
+
+
+def test_a_tornado_shows_the_incremental_net_benefit_of_two_strategies(tmp_path: Path) -> None:
+    """At both ends of each range it is what `evaluate` finds, also on the command line."""
+    spans = {"gain": (0, 2), "price": (1, 9)}
+
+    def net(at):
+        earned = [0, 4 * at["gain"] - at["price"], 8 * at["gain"] - 20]
+        return MDP.from_arrays([[[0, 1], [0, 1]]] * 3, [earned, [0] * 3], 0)
+
+    model = Family(parameters={"gain": 1, "price": 5}, build=net)
+    bars = tornado(model, policy=[1, 0], against=[2, 0], ranges=spans)
+    for row in bars.frame().to_dict("records"):
+        for end in ("low", "high"):
+            mdp = model.at({row["parameter"]: spans[row["parameter"]][end == "high"]})
+            one, other = (evaluate(mdp, policy).start_value for policy in ([1, 0], [2, 0]))
+            assert row[f"difference_{end}"] == pytest.approx(one - other)
+    assert bars.today["difference"].value == (4 - 5) - (8 - 20)
+    path = tmp_path / "bets.json"
+    net({"gain": 1, "price": 5}).save(path)
+    both = ("--policy", "always:1", "--against", "always:2", "--parameter", "reward.-1")
+    found = strict(run("tornado", str(path), *both, "--json").out)
+    assert found["difference"] == 11
+    np.save(tmp_path / "q.npy", [[0.0, 2.0, 1.0], [0.0, 0.0, 0.0]])
+    both = ("--policy", str(tmp_path / "q.npy"), "--kind", "q", *both[2:])
+    assert strict(run("tornado", str(path), *both, "--json").out)["difference"] == 11
+    assert [found["bars"][0][f"difference_{end}"] for end in ("low", "high")] == [10.8, 11.2]
 
 
 def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:
@@ -375,7 +404,14 @@ def test_without_draws_and_distributions_it_is_the_base_case() -> None:
     base = cost_effectiveness(MODEL, POLICIES)
     assert [base.effect.tolist(), base.cost.tolist()] == [[[0, 1, 2]], [[0, 5, 20]]]
     assert "base case" in repr(base)
-    assert base.evppi(10) == {}
+    with pytest.raises(ModelError, match="no parameter of the draws"):
+        base.evppi(10)
+    # Its numbers are bounded; those of draws, and those from elsewhere, are estimated.
+    claims = [base, CostEffectiveness.of({"a": 1}, {"a": 2})]
+    assert [each.claim for each in claims] == ["bounded", "estimated"]
+    errors = base.report().facts["error_bounds"]
+    assert errors == {"qaly": np.max(base.effect_error), "cost": np.max(base.cost_error)}
+    assert all(0 < error < 1e-12 for error in errors.values())
     certain = MODEL.at({})  # an MDP that has nothing to draw
     assert cost_effectiveness(certain, POLICIES).cost.tolist() == [[0, 5, 20]]
 

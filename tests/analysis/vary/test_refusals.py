@@ -1,6 +1,7 @@
 """What analyses of parameters refuse: the models of the table beside this file."""
 
 from dataclasses import replace
+from math import inf, nan  # noqa: F401 - the table names them
 from typing import Any
 
 import pandas as pd
@@ -62,6 +63,14 @@ APART = Family(
         [[[1 - at["a"] - at["b"], at["a"], at["b"]], [0, 1, 0], [0, 0, 1]]], [1, 0, 0], "1/2"
     ),
 )
+V = [[4, 1], [1, 9]]
+
+
+def FIT(**settings: Any) -> Any:
+    """Return what two parameters that are stated together make."""
+    return uncertainty(APART, {"fit": settings})
+
+
 ROUND = MDP.from_outcomes(
     [(s, a, [(1, (s + 1) % 201, 0)]) for s in range(201) for a in (0, 1)],
     "1/2",

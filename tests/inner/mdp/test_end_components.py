@@ -1,6 +1,6 @@
 """Attractors, distances and end components, against networkx and against all sets of states."""
 
-from itertools import chain, combinations
+from itertools import chain, combinations, product
 
 import networkx as nx
 import numpy as np
@@ -95,3 +95,32 @@ def test_end_components_are_the_largest_sets_that_can_be_stayed_in(seed: int) ->
     assert inside.tolist() == [
         any(s in one and after <= one for one in largest) for s, after in pairs
     ]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_base_is_in_every_recurrent_class_of_every_policy(seed: int) -> None:
+    mdp, pairs = drawn(seed)
+    kept = [k for k, (s, _) in enumerate(pairs) if s != seed % 5 or pairs[k - 1][0] != s]
+    every = []
+    for chosen in product(*([k for k in kept if pairs[k][0] == s] for s in range(5))):
+        graph = nx.DiGraph([(pairs[k][0], t) for k in chosen for t in pairs[k][1]])
+        every += nx.attracting_components(graph)
+    shared = set.intersection(*every)
+    found = PairGraph.of(mdp).find_base(np.isin(np.arange(len(pairs)), kept))
+    assert found == (min(shared) if shared else None) or found in shared
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_pairs_are_split_into_their_outcomes(seed: int) -> None:
+    mdp, pairs = drawn(seed)
+    some = np.arange(len(pairs)) % 2 == 0
+    split = PairGraph.of(mdp).split_pairs(some)
+    wanted = [
+        (s, part)
+        for k, (s, after) in enumerate(pairs)
+        for part in ([{t} for t in sorted(after)] if some[k] else [after])
+    ]
+    ends = zip(split.offsets[:-1], split.offsets[1:], strict=True)
+    found = [{*split.next[a:b].tolist()} for a, b in ends]
+    assert [*zip(split.pair_state.tolist(), found, strict=True)] == wanted
+    assert split.states == 5

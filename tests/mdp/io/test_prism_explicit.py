@@ -61,6 +61,7 @@ def test_transitions_alone_and_a_chain(tmp_path: Path) -> None:
         ({"tra": "20000000 2\n0 0 1\n"}, "walk.tra, line 1", "2 transitions are announced, and 1"),
         ({"tra": TRA.replace("3 4 6", "3 5 6")}, "walk.tra, line 1", "5 choices are announced"),
         ({"tra": TRA, "srew": ""}, "walk.srew, line 1", "begin with 3 states"),
+        ({"tra": TRA, "rew": "0 1"}, "walk.rew", "no reward file of PRISM"),
         ({"tra": TRA, "srew": "9 1\n0 1\n"}, "walk.srew, line 1", "begin with 3 states"),
         ({"tra": TRA, "srew": "3 1\n1\n"}, "walk.srew, line 2", "1 values, not 2"),
         ({"tra": TRA, "trew": "3 4 1\n0\n"}, "walk.trew, line 2", "1 values, not 4"),

@@ -13,7 +13,13 @@ import pytest
 
 from exact_mdp import MDP, Column, ModelError, StateSpace, best_policy, certify
 from exact_mdp.analysis.gate import columns as module
-from exact_mdp.analysis.gate.columns import Cycles, EndlessRows, PolicyRows, _BranchAndBound
+from exact_mdp.analysis.gate.columns import (
+    AverageRows,
+    Cycles,
+    EndlessRows,
+    PolicyRows,
+    _BranchAndBound,
+)
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import BoundedVector
@@ -481,6 +487,28 @@ def test_the_best_policy_where_some_never_end_or_miss_a_goal() -> None:
             costs = best_policy(asked, ("row",)).value.value
             assert costs == pytest.approx(asked.sense.sign * found.value.value)
     assert min(infinite, finite) > 10
+
+
+def test_the_best_average_of_policies_that_read_a_column() -> None:
+    for seed in range(8):
+        for sense in ("max", "min"):
+            mdp = next(endless(seed)).with_(sense=sense, discount="1/2")
+            rows = AverageRows(mdp, ("row",))
+            worth = {
+                choice: certify(
+                    of_pairs(mdp, find_taken_pairs(mdp, rows.key, np.array([choice]))[:, 0]),
+                    criterion="average",
+                ).start_value
+                for choice in product(range(3), repeat=rows.space.size)
+            }
+            most = (max if sense == "max" else min)(worth.values())
+            found = best_policy(mdp, ("row",), criterion="average")
+            assert found.proven
+            assert abs(F(found.value.value) - most) <= F(found.error) <= F(1, 10**9)
+            assert worth[tuple(rows.choices_of(found.policy).tolist())] == most
+            assert found.upper_bound == pytest.approx(float(most), abs=1e-9)
+            best = certify(mdp, criterion="average").start_value
+            assert found.mixed_upper_bound == pytest.approx(float(best), abs=1e-9)
 
 
 def test_relaxations_and_choices_of_endless_models_hold_the_exact_values() -> None:

@@ -15,7 +15,7 @@ from numpy.random import SeedSequence
 from scipy import stats
 from scipy_laws import SCIPY_LAWS
 
-from exact_mdp import MDP, Family, ModelError, Parameter, moving, parametric
+from exact_mdp import MDP, Family, ModelError, Parameter, moving, parametric, psa
 from exact_mdp.analysis.vary import distributions
 from exact_mdp.analysis.vary.distributions import (
     KINDS,
@@ -175,6 +175,60 @@ def test_a_row_has_the_moments_and_the_law_of_a_dirichlet(counts: tuple[float, .
         assert stats.kstest(column, stats.beta(count, sum(counts) - count).cdf).pvalue > 1e-3
     rest = stats.beta(counts[-1], sum(counts[:-1]))
     assert stats.kstest(1 - drawn.sum(axis=1), rest.cdf).pvalue > 1e-3
+
+
+COVARIANCE = [[0.25, -0.1, 0.0], [-0.1, 0.09, 0.02], [0.0, 0.02, 0.04]]
+
+
+@pytest.mark.parametrize("kind", ["normal", "lognormal"])
+def test_jointly_normal_parameters_have_their_moments_and_every_sum_its_law(kind: str) -> None:
+    """Var of a sample covariance is (Σii Σjj + Σij²) / (n - 1), and of a sample mean Σii / n."""
+    names, mean, square, n = ["a", "b", "c"], [1.0, -2.0, 0.5], np.array(COVARIANCE), 20_000
+    part = Uncertain.of_joint("all", names, kind, mean, COVARIANCE)
+    assert (part.names, part.label, part.kind, part.size) == (("a", "b", "c"), "all", kind, None)
+    drawn = part.draw(SeedSequence(5), n)
+    assert drawn.shape == (n, 3)
+    if kind == "lognormal":
+        for place in range(3):
+            law = stats.lognorm(s=square[place, place] ** 0.5, scale=np.exp(mean[place]))
+            assert part.mean[place] == pytest.approx(law.mean())
+            assert part.sd[place] == pytest.approx(law.std())
+        drawn = np.log(drawn)
+    else:
+        assert part.mean == tuple(mean)
+        assert part.sd == pytest.approx(square.diagonal() ** 0.5)
+    variance = square.diagonal()
+    assert (np.abs(drawn.mean(axis=0) - mean) < 5 * (variance / n) ** 0.5).all()
+    spread = ((np.outer(variance, variance) + square**2) / (n - 1)) ** 0.5
+    assert (np.abs(np.cov(drawn.T) - square) < 5 * spread).all()
+    for weights in ([1, 1, 1], [1, -2, 3], [0, 1, 0]):
+        law = stats.norm(np.dot(weights, mean), (weights @ square @ weights) ** 0.5)
+        assert stats.kstest(drawn @ weights, law.cdf).pvalue > 1e-3
+
+
+def test_several_parameters_are_stated_by_name_and_covariance(tmp_path: Path) -> None:
+    several = Family(
+        parameters={"x": 3, "y": 5},
+        build=lambda at: MDP.from_arrays([[[1]]], [at["x"] + at["y"]], 0),
+    )
+    path = tmp_path / "fit.toml"
+    path.write_text('fit = {names = ["x", "y"], covariance = [[4, 1], [1, 9]]}\n')
+    settings = {"names": ("x", "y"), "covariance": np.array([[4, 1], ["1", 9]], dtype=object)}
+    for stated in ({"fit": settings}, path):
+        (part,) = uncertainty(several, stated, names=["fit"]).parts
+        assert (part.mean, part.sd, part.kind) == ((3.0, 5.0), (2.0, 3.0), "normal")
+    moved = uncertainty(several, {"fit": settings | {"mean": [0, "1/2"]}}).parts[0]
+    assert moved.mean == (0.0, 0.5)
+    logs = settings | {"distribution": "lognormal", "meanlog": [0, 1]}
+    assert uncertainty(several, {"fit": logs}).parts[0].numbers == (0, 1, 4, 1, 1, 9)
+    # The sum, which the model earns, has the variance 4 + 2 + 9.
+    table = psa(several, 4000, uncertain={"fit": settings}, rng=3).table
+    assert abs(table.optimal.var(ddof=1) - 15) < 5 * 15 * (2 / 3999) ** 0.5
+    limited = replace(
+        several, parameters=(Parameter(name="x", value=3, low=0), several.parameters[1])
+    )
+    with pytest.raises(ModelError, match=r"x is -.* outside \[0, inf\]"):
+        psa(limited, 400, uncertain={"fit": settings})
 
 
 def test_drawn_rows_never_sum_to_more_than_one() -> None:
@@ -502,7 +556,7 @@ def test_a_row_is_asked_for_by_its_name_or_by_all_of_its_entries() -> None:
         assert found.names == (TO_1, TO_2)
         assert {*found.fixed} == {BACK, "reward.1", "discount"}
         assert {*found.fixed.values()} == {"not among the names asked for"}
-    with pytest.raises(ModelError, match="without the others of its row"):
+    with pytest.raises(ModelError, match="without the others of"):
         uncertainty(NAMED, names=[TO_2])
     both = replace(NAMED, rows={ROW: (TO_1, TO_2), OTHER: (BACK, TO_2)})
     with pytest.raises(ModelError, match="rows"):
@@ -634,7 +688,7 @@ def test_settings_by_other_words() -> None:
         ({"interval": [5, 20], "mean": 7}, "without other numbers"),
         ({"interval": 5}, "write interval"),
         ({"interval": [5]}, "write interval"),
-        ({"interval": [20, 5]}, "no gamma has the 95 % interval from 20 to 5"),
+        ({"interval": [20, 5]}, "no gamma has the 95 % interval from 20.0 to 5.0"),
         ({"interval": [0, 5]}, "no gamma has"),
         ({"interval": [1, 5], "distribution": "triangular"}, "no triangular has"),
         ({"interval": [1, "x"]}, "parameter a, interval"),

@@ -321,6 +321,9 @@ def test_costs_and_effects_from_elsewhere() -> None:
     assert given.report().facts["seed"].value is None
 
 
+DRAWS = pd.DataFrame({"a": [1.0, 2.0]})
+
+
 @pytest.mark.parametrize(
     ("cost", "effect", "parameters", "said"),
     [
@@ -333,6 +336,8 @@ def test_costs_and_effects_from_elsewhere() -> None:
         ({"a": [[1]]}, {"a": 1}, None, "not a list of numbers"),
         ({}, {}, None, "no column"),
         ([1, 2], [1, 2], None, "list is not a table"),
+        (DRAWS, DRAWS[::-1], None, "effect has other row labels than cost"),
+        ({"a": [1, 2]}, DRAWS, DRAWS.set_index("a"), "parameters has other row labels than effect"),
     ],
 )
 def test_bad_tables_are_refused(cost: Any, effect: Any, parameters: Any, said: str) -> None:

@@ -95,6 +95,38 @@ def test_bars_have_the_values_at_both_ends(sense: str, held: tuple[int, int]) ->
     assert found.model == "model"
 
 
+@SENSES
+def test_a_tornado_of_two_policies_has_the_differences_of_their_values(sense: str) -> None:
+    sign, one, other = (1 if sense == "max" else -1), (0, 2), (1, 2)
+
+    def apart(at: dict[str, F]) -> F:
+        return sign * (worth(one, at) - worth(other, at))
+
+    found = tornado(model_of(sense), ranges=SPANS, policy=[*one, 0], against=[*other, 0])
+    ends = {name: [apart(TODAY | {name: end}) for end in SPANS[name]] for name in SPANS}
+    order = sorted(ends, key=lambda name: -abs(ends[name][1] - ends[name][0]))
+    frame = found.frame()
+    assert frame["parameter"].tolist() == order
+    assert frame["difference_swing"][0] > 0
+    for place, end in enumerate(("low", "high")):
+        wanted = [float(ends[name][place]) for name in order]
+        assert frame[f"difference_{end}"].tolist() == pytest.approx(wanted)
+    today = found.today["difference"]
+    assert abs(F(today.value) - apart(TODAY)) <= F(today.error) < F(1, 10**9)
+    # The optimum, the policy and its regret are those of the tornado of one policy.
+    alone = tornado(model_of(sense), ranges=SPANS, policy=[*one, 0])
+    assert frame[alone.frame().columns].equals(alone.frame().set_index("parameter").loc[order]
+                                               .reset_index()[alone.frame().columns])  # fmt: skip
+    assert found.report().facts["difference"].value == today.value
+    assert found.report().tables["apart"].rows["parameter"].tolist() == order
+    assert "difference" not in alone.report().facts
+    ax = found.plot()
+    assert ax.lines[0].get_xdata()[0] == today.value
+    assert "less the other" in ax.get_xlabel()
+    with pytest.raises(ModelError, match="output"):
+        alone.plot(output="difference")
+
+
 def test_a_tornado_is_of_the_parameters_asked_for() -> None:
     model = model_of("max")
     named = tornado(model, names=["z", "x"], relative="1/2")

@@ -150,3 +150,26 @@ def test_questions_take_expressions() -> None:
     for text in ('state="(3, 0)"', "top", "state[0]=3", "state[0]>2 & state[1]=0"):
         assert certify(named.reaching(text)).start_value == Fraction(1, 3)
     assert certify(named.until('top | state="(0, 0)"')).start_value == 2
+
+
+def test_variables_beside_a_time() -> None:
+    """A question within N steps is the same in either order, also of parts of names and tuples."""
+    third = [[[Fraction(1, 12)] * 12] * 12]
+    named = MDP.from_arrays(third, [0] * 12, states=WORDS)
+    pairs = MDP.from_function(
+        (0, 0),
+        lambda place: [0],
+        lambda place, _: [
+            ("1/2", ((place[0] + 1) % 3, place[1]), 1),
+            ("1/2", (place[0], 1 - place[1]), 1),
+        ],
+        discount="9/10",
+    )
+    asked = [(named, "x=7 & y>0 & !done"), (pairs, "state[0]=2 & state[1]=1")]
+    for mdp, text in asked:
+        for steps in (0, 1, 3):
+            first, second = mdp.within(steps).reaching(text), mdp.reaching(text).within(steps)
+            assert certify(first).start_value == certify(second).start_value
+    assert certify(named.within(1).reaching(asked[0][1])).start_value == Fraction(1, 12)
+    found = find_states(named.within(2), "time=1 & x=7")
+    assert found.sum() == 4

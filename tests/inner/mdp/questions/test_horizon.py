@@ -37,7 +37,7 @@ def best_of(mdp: MDP, steps: int, last: list[F]) -> list[F]:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_horizon_is_its_recursion(seed: int, discount: str, sense: str) -> None:
     mdp = three_states(seed, sense, discount)
-    for steps, last in product((1, 2, 3), ([F(0)] * 3, [F(5), F(-2, 3), F(1)])):
+    for steps, last in product((0, 1, 2, 3), ([F(0)] * 3, [F(5), F(-2, 3), F(1)])):
         terminal = None if not any(last) else last
         unrolled = mdp.within(steps, terminal_value=terminal)
         value = best_of(mdp, steps, last)

@@ -9,16 +9,18 @@ from small_models import three_states
 from exact_mdp import MDP, certify
 
 
+@pytest.mark.parametrize("steps", [0, 1, 4])
 @pytest.mark.parametrize("seed", range(8))
-def test_what_is_reached_is_the_sum_over_runs(seed: int) -> None:
-    """The probability of coming there within 4 steps, by the best of all choices at each step."""
+def test_what_is_reached_is_the_sum_over_runs(seed: int, steps: int) -> None:
+    """The probability of coming there within N steps, by the best of all choices at each step."""
     mdp = three_states(seed, discount="1")
     reached = [F(0), F(0), F(1)]
-    for _ in range(4):
+    for _ in range(steps):
         reached = [F(1) if s == 2 else max(sum(p * reached[t] for t, p in law.items())
                    for u, _, _, law in rows_of(mdp) if u == s) for s in range(3)]  # fmt: skip
-    question = mdp.reaching("there").within(4)
-    assert certify(question).start_value == reached[0] / 3 + 2 * reached[2] / 3
+    for question in (mdp.reaching("there").within(steps), mdp.within(steps).reaching("there")):
+        assert certify(question).start_value == reached[0] / 3 + 2 * reached[2] / 3
+        assert list(certify(question).value[:3]) == reached
 
 
 def test_arrivals_earn_1_once_and_forbidden_states_stay_put() -> None:

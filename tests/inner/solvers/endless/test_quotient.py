@@ -11,7 +11,10 @@ from exact_mdp.solvers.endless.quotient import (
     build_quotient,
     choose_first_pairs,
     choose_nearer_pairs,
+    extract_components,
+    merge_components,
     of_pairs,
+    stop_in_components,
 )
 
 # 0 ⇄ 1 by a pair each, 1 may leave for 2 or 3, 2 stays; 3 leads back to 0.
@@ -45,6 +48,48 @@ def test_merged_states_share_their_pairs() -> None:
         (2, 0, F(0), {2: F(1)}),
     ]
     assert free.source.tolist() == [2, -1, 4, 5]
+
+
+def test_components_become_states_and_those_that_are_not_left_the_end() -> None:
+    """0 and 1 are a component that is left, and 2 is one that is not; 3 is in none."""
+    graph, kept = PairGraph.of(MODEL), np.ones(5, dtype=bool)
+    merged = np.array([1, 1, 0, -1]), np.array([True, True, False, True, False])
+    for may_stop, stops in ((True, [(0, F(0))]), (False, [])):
+        pairs, new_state, found = merge_components(graph, kept, merged, may_stop=may_stop)
+        assert pairs.tolist() == [False, False, True, False, True]
+        assert new_state.tolist() == [0, 0, -1, 1]
+        assert found == stops
+    kept[4] = False
+    pairs, new_state, found = merge_components(graph, kept, merged, may_stop=True)
+    assert (pairs.tolist(), new_state.tolist()) == (
+        [False, False, True, False, False],
+        [0, 0, -1, -1],
+    )
+
+
+def test_components_are_a_model_of_their_own() -> None:
+    component, inside = np.array([0, 0, 1, -1]), np.array([True, True, False, True, False])
+    found = extract_components(MODEL, component, inside)
+    assert rows_of(found.mdp) == [
+        (0, 0, F(2), {1: F(1)}),
+        (1, 0, F(-2), {0: F(1)}),
+        (2, 0, F(0), {2: F(1)}),
+        (3, 0, F(0), {3: F(1)}),
+    ]
+    assert (found.new_state.tolist(), found.source.tolist()) == ([0, 1, 2, 3], [0, 1, 3, 5])
+
+
+def test_a_component_is_left_for_nothing_or_stops_for_its_worth() -> None:
+    outside = np.array([False, False, True, False, True])
+    found = stop_in_components(MODEL, np.array([0, 0, 1, -1]), outside, np.array([0.5, -3.0]))
+    assert rows_of(found.mdp) == [
+        (0, 0, F(0), {1: F(1, 3), 2: F(2, 3)}),
+        (0, 1, F(1, 2), {3: F(1)}),
+        (1, 0, F(-3), {3: F(1)}),
+        (2, 0, F(0), {0: F(1)}),
+        (3, 0, F(0), {3: F(1)}),
+    ]
+    assert (found.new_state.tolist(), found.source.tolist()) == ([0, 0, 1, 2], [2, -1, -2, 4, 5])
 
 
 def test_pairs_that_lose_in_circles_are_left_out_and_no_more() -> None:

@@ -1,5 +1,6 @@
 """The game of the agent and nature: its policies, its margins, and its parts."""
 
+from fractions import Fraction
 from itertools import product
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from exact_mdp import MDP, Intervals
 from exact_mdp.solvers.endless.quotient import build_quotient
-from exact_mdp.solvers.robust.game import Game, verify_margins
+from exact_mdp.solvers.robust.game import Game, find_closed_pairs, verify_margins
 
 SHARE = 0.3
 
@@ -84,3 +85,42 @@ def test_a_mixed_policy_that_may_stay_has_a_margin() -> None:
     assert weight[0] == pytest.approx(1 / (0.5 * 0.35))
     kept = weight[0] * (0.5 + 0.5 * 0.65)
     assert 0 < margin[0] <= weight[0] - kept
+
+
+def test_a_pair_is_kept_unless_another_is_better_beyond_rounding() -> None:
+    mdp = MDP.from_outcomes([(0, a, [(1, 1, gain)]) for a, gain in enumerate((1, 1, 2))]
+                            + [(1, 0, [(1, 0, 0)])], "1/2")  # fmt: skip
+    game = game_of(mdp, against=True)
+    asked, none = game.solve_inner_problem(np.zeros(2)), np.zeros(2)
+    for before, doubt, after in ((1, 0.0, 2), (1, 0.4, 2), (1, 0.6, 1), (2, 0.0, 2)):
+        share = game.take_pairs(np.array([before, 3]))
+        kept = game.keep_pairs(share, asked, none + doubt)
+        assert game.list_pairs(kept).tolist() == [after, 3]
+    fixed = game_of(mdp, against=True, weights=np.array([0.5, 0.5, 0.0, 1.0]))
+    share = fixed.choose_pairs(np.zeros(3))
+    assert fixed.keep_pairs(share, fixed.solve_inner_problem(none), none).tolist() == [0.5, 0.5, 1]
+
+
+def test_a_policy_stops_where_a_part_can() -> None:
+    """State 0 moves on to 1 with its one pair; 1 has only a stop, worth 4."""
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (0, 1, [(1, 0, 0)]), (1, 0, [(1, 1, 5)])], 1)
+    stops = [(1, Fraction(4))]
+    part = build_quotient(mdp, np.array([0, 1]), np.array([0, 1]), stops=stops)
+    sets, weights = Intervals.relative(mdp, SHARE), np.array([1.0, 0.0, 1.0])
+    game = Game(mdp, sets, against=True, weights=weights, part=part)
+    assert game.source.tolist() == [0, -1]
+    share = game.choose_pairs(np.zeros(2))
+    assert share.tolist() == [1, 1]
+    value = game.solve_chain(game.solve_inner_problem(np.zeros(3)), share, None)
+    assert value.tolist() == [4, 4, 0]
+
+
+def test_nature_closes_ways_whose_chance_may_be_nothing() -> None:
+    mdp = ending(0)
+    open_sets, closed = Intervals.relative(mdp, SHARE), Intervals.relative(mdp, 1)
+    assert not find_closed_pairs(mdp, open_sets, None).any()
+    several = np.diff(mdp.table.offsets) > 1
+    assert find_closed_pairs(mdp, closed, None).tolist() == several.tolist()
+    taken = np.array([1.0, 0, 0.5, 0.5, 0, 1, 1])
+    wanted = several & (taken > 0)
+    assert find_closed_pairs(mdp, closed, taken).tolist() == wanted.tolist()

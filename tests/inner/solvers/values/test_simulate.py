@@ -155,6 +155,16 @@ def test_starts_are_drawn_by_their_chances() -> None:
     assert simulate(half, "random", 1, Edge(np.random.PCG64(0))).returns.tolist() == [7]
 
 
+def test_without_a_step_a_run_is_where_it_begins() -> None:
+    rows = [(0, 0, [(1, 1, 4)]), (1, 0, [(1, 0, 1)])]
+    mdp = MDP.from_outcomes(rows, "1/2", labels={"there": [1]}, start={0: "1/4", 1: "3/4"})
+    sample = simulate(mdp.reaching("there"), [0, 0], 400, rng=0, horizon=0)
+    assert {*sample.returns.tolist()} == {0, 1}
+    assert abs(sample.mean - 3 / 4) < 5 * (3 / 16 / 400) ** 0.5
+    still = simulate(mdp, [0, 0], 5, rng=0, horizon=0)
+    assert (still.returns.tolist(), still.steps.tolist(), still.truncated) == ([0] * 5, [0] * 5, 5)
+
+
 def test_a_horizon_is_no_error() -> None:
     rows: Any = [(0, 0, [(F(1, 2), 1, 1), (F(1, 2), 0, 2)]), (1, 0, [(1, 1, 0)])]
     for discount in (1, "1/2"):

@@ -73,7 +73,7 @@ def test_the_number_of_steps_is_said_once() -> None:
     with pytest.raises(ModelError, match="of its own"):
         cohort_trace(mdp.within(2), "random", 2)
     with pytest.raises(ModelError, match="steps"):
-        cohort_trace(mdp, "random", 0)
+        cohort_trace(mdp, "random", -1)
     with pytest.raises(ModelError, match="choose fewer steps"):
         cohort_trace(mdp, "random", 10**12)
 

@@ -252,3 +252,50 @@ def test_the_classes_of_a_policy_and_what_it_improves_first() -> None:
     assert [*equations.choose_improvements([3, 4])] == [4]
     assert [*equations.choose_improvements([3])] == [3]
     assert not equations.improper
+
+
+def test_gaps_and_faults_that_do_not_depend_on_the_parameter() -> None:
+    """State 3 leads to gains of 2 or 7, or earns 1 on the way to 2: all by constant gaps."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 0, at["r"])]), (1, 0, [(1, 1, 7)]), (2, 0, [(1, 2, 2)])]
+        rows += [(3, 0, [(1, 2, 0)]), (3, 1, [(1, 1, 0)]), (3, 2, [(1, 2, 1)])]
+        return MDP.from_outcomes(rows)
+
+    family = Family(parameters={"r": 1}, build=build)
+    equations = AverageEquations(family, "r", Piece(low=F(0), high=F(4), origin=F(1)))
+    policy = [[(pair, to_flint(F(1)))] for pair in range(4)]
+    values = compute_policy_values(equations, policy)
+    assert equations.update_gaps(values, {0, 1, 2, 3}) == {4, 5}
+    assert equations.of_gain == {4}
+    below = values[1](to_flint(F(2)))
+    assert [from_flint(equations.gap[k](to_flint(F(2))) / below) for k in (4, 5)] == [-5, -1]
+    mixed = [*policy[:3], [(3, to_flint(F(1, 2))), (4, to_flint(F(1, 2)))]]
+    numbers, below = compute_policy_values(equations, mixed)
+    assert [*equations.find_policy_faults(mixed, (numbers, below))] == []
+    for place in (3, 7):  # the relative value and the gain of state 3
+        wrong = [number + (place == k) for k, number in enumerate(numbers)]
+        assert [*equations.find_policy_faults(mixed, (wrong, below))] == [3]
+
+
+def test_a_point_where_a_transition_vanishes_is_proven_or_not() -> None:
+    """At t = 0 the second action is as good if it earns 5; a constant loss of gain shows there."""
+    parameters = (Parameter(name="t", value="1/2", low=0, high=1),)
+
+    def faults(build: Any, pairs: list[int]) -> list[str]:
+        family = Family(parameters=parameters, build=build)
+        equations = AverageEquations(family, "t", Piece(low=F(0), high=F(1), origin=F(1, 2)))
+        values = compute_policy_values(equations, [[(k, to_flint(F(1)))] for k in pairs])
+        return [*equations.find_point_faults(values, F(0), F(1))]
+
+    def with_choice(at: dict[str, F]) -> MDP:
+        t = at["t"]
+        moves = [(1 - t, 1, 0), (t, 2, 0)] if t else [(1, 1, 0)]
+        rows = [(0, 0, moves), (0, 1, [(1, 2, 9)])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 3)]), (2, 0, [(1, 2, 4)])])
+
+    assert faults(lambda at: forked(at, 5), [0, 2, 3]) == []
+    assert faults(lambda at: forked(at, 6), [0, 2, 3]) == ["t = 0"]
+    # Going to 1 or 2 by chance loses 1 - t of the gain of going to 2, and at t = 1 what that earns.
+    assert faults(with_choice, [0, 2, 3]) == ["t = 0", "t = 1"]
+    assert faults(with_choice, [1, 2, 3]) == []

@@ -1,15 +1,20 @@
 """Derivatives of averages: closed forms, and differences of proven averages beside today."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction as F
 from random import Random
 from typing import Any
 
+import numpy as np
 import pytest
-from average_models import average_of, moved_family, two_states
+from average_models import average_of, moved_family, random_rows, sure_rows, two_states
 
 from exact_mdp import MDP, Family, ModelError, Parameter, evaluate, gradient
+from exact_mdp.analysis.vary.curves import average_gradient
+from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.claims import Bounded, Certified, Claim
+from exact_mdp.solvers.values.average import evaluate_average
 
 H = F(1, 10**15)
 EXACTLY = pytest.mark.parametrize("exact", [True, False])
@@ -135,6 +140,115 @@ def test_random_models_beside_differences(sense: str, today: F) -> None:
                 assert abs(value - slope) <= error + F(1, 10**9)
     assert answered > 4 * refused
     assert refused or today
+
+
+def tied_family(rng: Random, today: F, sense: str) -> Family:
+    """Return a family in which some actions have the same row and reward today, and only today."""
+    rows = random_rows(rng, 3)
+    for state in range(3):
+        if rng.random() < 0.6:
+            (_, _, law), action = rng.choice([each for each in rows if each[0] == state]), 2
+            rows.append((state, action, law))
+    rows.sort(key=lambda row: row[:2])
+    drift = [(rng.randrange(3), F(rng.randint(-2, 2))) for _ in rows]
+
+    def build(at: Any) -> MDP:
+        moved = []
+        for (state, action, law), (_, extra) in zip(rows, drift, strict=True):
+            # Two ways to the same row today: from the law towards a state, by t / 4 or today / 4.
+            share = (at["t"] if action == 2 else today) / 4
+            reward = law[0][2] + extra * (at["t"] - today)
+            target = next(drift[k][0] for k, row in enumerate(rows) if row[0] == state)
+            changed = [((1 - share) * p, other, reward) for p, other, _ in law]
+            moved.append((state, action, [*changed, (share, target, reward)]))
+        return MDP.from_outcomes(moved, start={"state 0": "1/3", "state 1": "2/3"}, sense=sense)
+
+    return Family(
+        parameters=(Parameter(name="t", value=today, low=0, high=1),), build=build, degrees={"t": 1}
+    )
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_ties_have_the_slopes_of_both_sides(sense: str) -> None:
+    bent = 0
+    for seed in range(24):
+        today = F(1, 3)
+        family = tied_family(Random(f"{sense} {seed}"), today, sense)
+        here, slopes = average_of(family.at({})), []
+        for side in (-1, 1):
+            there = average_of(family.at({"t": today + side * H}))
+            value, error = slope_of(family, "t", side)
+            assert error == 0
+            assert abs(value - (there - here) / (side * H)) < F(1, 10**9)
+            slopes.append(value)
+        bent += slopes[0] != slopes[1]
+    assert bent > 6
+
+
+def test_where_the_average_jumps_no_derivative_is_given() -> None:
+    """And few are refused besides: those whose average does not jump, but might have."""
+    jumps, careful, given = 0, 0, 0
+    for seed in range(60):
+        rng = Random(f"jump {seed}")
+        family = moved_family(rng, F(0), rng.choice(("max", "min")), sure_rows(rng))
+        held = [rng.randrange(len(family.at({}).pairs_of(s))) for s in range(4)]
+        for policy in ("optimal", held):
+            here, there = (average_of(family.at({"t": t}), policy) for t in (F(0), H))
+            jumping = abs(there - here) > F(1, 1000)
+            try:
+                value, _ = slope_of(family, "t", policy=policy, exact=True)
+            except ModelError as refusal:
+                if "the average may jump" not in str(refusal):
+                    raise
+                jumps += jumping
+                careful += not jumping
+                continue
+            assert not jumping
+            assert abs(value - (there - here) / H) < F(1, 10**9)
+            given += 1
+    assert (jumps, given) == (25, 60)
+    assert careful <= 35
+
+
+def move_numbers(found: Any, part: str, off: float, rng: Random) -> Any:
+    """Return an evaluation of which one part is off, by no more than its error says."""
+    signs = np.array([rng.choice((-off, off)) for _ in found.value])
+    old = getattr(found, part)
+    if part in ("share", "arrivals"):
+        return replace(
+            found, **{part: BoundedVector(value=old.value + signs, error=old.error + off)}
+        )
+    error = {"value": "error", "bias": "bias_error"}[part]
+    return replace(found, **{part: old + signs, error: getattr(found, error) + off})
+
+
+@pytest.mark.parametrize("policy", ["optimal", "random"])
+def test_the_error_covers_what_the_values_are_off(policy: str, monkeypatch: Any) -> None:
+    """Gain, bias, shares and arrivals move within their bounds: so does the slope."""
+    answered, off = 0, 2.0**-20
+    monkeypatch.setattr(average_gradient, "_find_rivals", lambda *_: np.zeros(4, dtype=bool))
+    for seed in range(20):
+        rng = Random(f"off {seed}")
+        family = moved_family(rng, F(1, 3), "max")
+        try:
+            exact, _ = slope_of(family, "t", policy=policy, exact=True)
+            _, least = slope_of(family, "t", policy=policy, exact=False)
+        except ModelError:
+            continue
+        for part in ("value", "bias", "share", "arrivals"):
+            with monkeypatch.context() as patch:
+                patch.setattr(
+                    average_gradient,
+                    "evaluate_average",
+                    lambda chain, part=part, rng=rng: move_numbers(
+                        evaluate_average(chain), part, off, rng
+                    ),
+                )
+                value, error = slope_of(family, "t", policy=policy, exact=False)
+            assert abs(value - exact) <= error
+            assert error <= least + 60 * off
+            answered += 1
+    assert answered > 30
 
 
 @EXACTLY
