@@ -133,10 +133,8 @@ def _read_rewards(
             continue
         if structure is None:
             if file.name.startswith(f"{path.stem}."):
-                names = f"{path.stem}.srew for rewards of states, {path.stem}.trew of transitions"
-                raise ModelError(
-                    "no reward file of PRISM has this name", where=str(file), fix=f"call it {names}"
-                )
+                fix = "end its name in srew for rewards of states, in trew for transitions"
+                raise ModelError("no reward file of PRISM", where=str(file), fix=fix)
             continue
         own = found.setdefault(REWARD + structure[1], {})
         (_, head), *rows = _split_lines(file)

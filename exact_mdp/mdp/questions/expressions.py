@@ -176,11 +176,11 @@ def list_variables(space: StateSpace) -> dict[str, Variable]:
     """Return the variables of the states, by name."""
     variables: dict[str, Variable] = {}
     for column in space.columns:
-        variables |= _list_parts(column, space.values(column.name))
+        variables |= _list_column_variables(column, space.values(column.name))
     return variables
 
 
-def _list_parts(column: Column, place: Integers) -> dict[str, Variable]:
+def _list_column_variables(column: Column, place: Integers) -> dict[str, Variable]:
     """Return the variables that a column stands for, in states with these places (S,) in it."""
     named = [dict(re.findall(NAMED, word)) for word in column.words]
     if named and named[0] and all({*each} == {*named[0]} for each in named):

@@ -560,14 +560,14 @@ def test_a_start_that_may_mix_infinities_is_refused() -> None:
     rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 1, -1)]), (1, 1, [(1, 2, 0)])]
     mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], 1, start={0: "1/2", 1: "1/2"})
     for sense in ("max", "min"):
-        for refused in (best_policy, EndlessRows):
+        for refused in (best_policy, PolicyRows.of):
             with pytest.raises(ModelError, match=r"\+∞ from one state of the start"):
                 refused(mdp.with_(sense=sense).maximised, ())
     for start, best in ((0, inf), (1, 0)):
         assert best_policy(mdp.with_(start=start), ()).value.value == best
     alone = [*rows[:1], (0, 1, [(1, 0, -1)]), *rows[3:], (1, 0, [(1, 2, 1)])]
     one = MDP.from_outcomes([*alone, (2, 0, [(1, 2, 0)])], 1, start={0: "1/2", 1: "1/2"})
-    assert EndlessRows(one, ()).mdp is one
+    assert PolicyRows.of(one, ()).mdp is one
     rows[2] = (1, 0, [(1, 1, 2)])
     same = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], 1)
     both = same.with_(start={0: "1/2", 1: "1/2"})
@@ -590,9 +590,9 @@ def test_starts_may_be_compared_unless_some_policy_may_mix_infinities() -> None:
         if best and worst and len(best | worst) > 1:
             refused += 1
             with pytest.raises(ModelError, match="from one state of the start"):
-                EndlessRows(mdp, ("row",))
+                PolicyRows.of(mdp, ("row",))
         else:
-            EndlessRows(mdp, ("row",))
-        EndlessRows(mdp.until("goal"), ("row",))
-        EndlessRows(mdp.with_(start=0), ("row",))
+            PolicyRows.of(mdp, ("row",))
+        PolicyRows.of(mdp.until("goal"), ("row",))
+        PolicyRows.of(mdp.with_(start=0), ("row",))
     assert refused > 1
