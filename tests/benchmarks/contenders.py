@@ -21,6 +21,8 @@ from scipy.sparse import csr_array
 from workloads import FULL, Workload
 
 TOLERANCE = 1e-6
+SECONDS = 100  # of one solver on one model, its preparation included
+FAR = 10  # a solver that took this many times as long as ours in the first round has no other round
 ALONE = "solving alone"
 MOST_FOR_FACTORS = 5_000  # states from which on quantecon's policy iteration takes minutes
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from contenders import ALONE, OURS
+from contenders import ALONE, FAR, OURS, SECONDS
 from matplotlib.ticker import NullFormatter
 
 from exact_mdp import plots
@@ -62,7 +62,8 @@ def _page(rows: Rows, bandwidth: float) -> list[str]:
         + ".",
         "",
         f"Written by `make bench`, whose runs took {minutes:.0f} minutes. Each solver is "
-        f"given the same arrays, in a process of its own, in turn, in {rounds}; a time is "
+        f"given the same arrays, in a process of its own, in turn, in {rounds} (one if it takes "
+        f"more than {FAR} times as long as ours, and at most {SECONDS} seconds); a time is "
         "the best of three repeats or more, half a second of them, after a first call, and "
         "includes what a user waits for: taking over the arrays, finding structure, solving, "
         "bounding. Python lists for mdpsolver and Storm's matrix are made beforehand, untimed, and "
