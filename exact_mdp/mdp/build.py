@@ -504,6 +504,8 @@ def _rows_of_matrices(
         if len(shapes) > 1:
             found = f"matrices of {what} have shapes {shapes}"
         fix = "give (A, S, S), (S, A, S), or a list of A sparse (S, S) matrices"
+        if len(shape) == 4:
+            fix += "; rows that depend on the time are a model for each step: MDP.from_steps"
         if fits and layout is not None:
             fix += f"; this is not {layout!r}"
         if len(shape) == 3 and shape[0] == shape[1]:

@@ -295,6 +295,7 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
         if isinstance(start, ByNumber):
             weights = dict(start)
         else:
+            space = _without_time(start, space)
             weights = numbers_by_state(start, space)
         if weights is None:  # a single state
             weights = {space.number(start): 1}
@@ -303,6 +304,29 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
         chances = map(exact, rationalize_row(put_right(given, np.array([0, len(given)])).tolist()))
         pairs = sorted(zip(weights, chances, strict=True))
     return ByNumber((state, weight) for state, weight in pairs if weight != 0)
+
+
+def _without_time(start: object, space: StateSpace) -> StateSpace:
+    """Return the space that names the states of a start: without the time, they are of time 0."""
+    if space.untimed is None or not isinstance(start, str | tuple | Mapping):
+        return space
+    names = [*start] if isinstance(start, Mapping) else [start]
+    at_first = StateSpace(columns=space.untimed.columns)  # which have the same numbers at time 0
+    if not all(map(at_first.lookup.can_find, names)):
+        return space
+    for name in names:
+        if _can_read(name, space) and space.number(name) != at_first.number(name):
+            own, other = (space.label(each.number(name)) for each in (space, at_first))
+            what = f"{name!r} may be {own!r}, or {other!r}"
+            raise ModelError(what, fix=f'write "{own}" or "{other}"')
+    return at_first
+
+
+def _can_read(name: object, space: StateSpace) -> bool:
+    try:
+        return space.number(name) >= 0
+    except ModelError:
+        return False
 
 
 def numbers_by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:

@@ -93,3 +93,28 @@ MODEL = small_model(0)
 def test_other_steps_are_refused(models: list[MDP], said: str) -> None:
     with pytest.raises(ModelError, match=said):
         MDP.from_steps(models)
+
+
+def test_a_start_without_a_time_is_one_at_the_first_time() -> None:
+    """Names of the states are enough; what may be a state, or a time and a state, is refused."""
+    wards = MDP.from_outcomes(
+        [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, 2)])], states=["well", "ill"]
+    ).within(3)
+    for start in ("ill", {"ill": 1}, "time 0, state ill", (0, "ill"), 1):
+        assert wards.with_(start=start).start == ((1, 1),)
+    mixed = {"well": "1/3", "ill": "2/3"}
+    assert dict(wards.with_(start=mixed).start) == {0: F(1, 3), 1: F(2, 3)}
+    assert wards.with_(start="time 1, state well").start == ((2, 1),)
+
+    def ring(width: int) -> MDP:
+        def step(place: tuple[int, int], _: int) -> list[tuple[int, tuple[int, int], int]]:
+            return [(1, ((place[0] + 1) % 3, width), 0)]
+
+        return MDP.from_function((0, width), lambda place: [0], step).within(2)
+
+    assert ring(7).with_(start=(2, 7)).start == ring(7).with_(start=(0, (2, 7))).start == ((2, 1),)
+    with pytest.raises(ModelError, match="may be 'time 1, state") as refused:
+        ring(1).with_(start=(1, 1))
+    for name in ("time 1, state (1, 1)", "time 0, state (1, 1)"):
+        assert name in str(refused.value)
+        assert ring(1).with_(start=name).start[0][0] < 6
