@@ -352,7 +352,7 @@ def parse_options(texts: Mapping[str, str]) -> dict[str, Any]:
     """Return the options of an environment from texts such as "False", "3" or "8x8".
 
     A text is the value that it writes in Python; true, false and none may be in small letters, and
-    any other text is a text. The words yes, no, on and off are refused, since a text counts as true.
+    any other text is a text. yes, no, on and off are refused, since a text counts as true.
     """
     options: dict[str, Any] = {}
     for name, text in texts.items():
