@@ -87,7 +87,7 @@ def arrange(
     names go down, except the time of a model with a horizon. `at` holds columns fixed, such as
     `trial=0`: other states are left out.
     """
-    sides = _find_columns(model)
+    sides = find_columns(model)
     down, across = ([each] if isinstance(each, str) else each for each in (down, across))
     named = [*(down or ()), *(across or ()), *at]
     for name in named:
@@ -135,7 +135,7 @@ def arrange(
     )
 
 
-def _find_columns(model: MDP) -> Sides:
+def find_columns(model: MDP) -> Sides:
     """Return the columns of states; of tuples, their parts.
 
     Tuples have parts if all have one length, all other states are terminal, and few cells are

@@ -31,6 +31,7 @@ from exact_mdp.analysis.layout import (
     arrange,
     build_cells,
     ends_of,
+    find_columns,
     shorten_names,
 )
 from exact_mdp.analysis.optimum import actions_of
@@ -271,11 +272,13 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
 def _place_states(model: MDP, place: Mapping[str, Any]) -> Layout:
     layout = arrange(model, **place)
     if layout.cells > MOST_CELLS:
-        raise ModelError(
-            f"a map of {layout.cells:,} cells",
-            where="plot",
-            fix="hold columns fixed, such as trial=0, or read the table: .frame()",
-        )
+        columns = [column for column, _ in find_columns(model).values() if not layout.listed]
+        fix = "read the table: .frame()"
+        for most in sorted(columns, key=lambda column: column.size)[-1:]:
+            first = most.label(0)
+            value = first if first == "0" else repr(first)
+            fix = f"hold columns fixed, such as {most.name}={value}, or {fix}"
+        raise ModelError(f"a map of {layout.cells:,} cells", where="plot", fix=fix)
     return layout
 
 

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_models import forest, grid
 from picture_texts import legend_of, texts, texts_of
+from refusal_tables import refused
 
 from exact_mdp import (
     MDP,
@@ -48,6 +49,18 @@ def test_a_map_over_any_two_columns() -> None:
     policy = plots.plot_policy(mdp, "always:directive", subtask=1)
     assert set(texts(policy).values()) == {"a3"}
     assert len(texts(policy)) == 32
+
+
+def test_a_map_that_is_too_large_names_a_column_to_hold_fixed() -> None:
+    """What is advised can be drawn; states that are only numbered have no columns."""
+    care = Scenario.load("yuan2025").with_(tasks=[2] * 30).compile()
+    cliff = MDP.from_gymnasium("CliffWalking-v1").within(100)
+    for mdp, name in ((cliff, "time"), (care, "subtask")):
+        error = refused(lambda mdp=mdp: plots.plot_policy(mdp, "random"), "cells", "plot")
+        assert f"such as {name}=0, or read" in error.fix
+        plots.plot_policy(mdp, "random", **{name: 0})
+    numbered = MDP.from_arrays([np.eye(4500)], np.zeros(4500), 0.9)
+    refused(lambda: plots.plot_policy(numbered, "random"), "4,500 cells", "plot", "=read the")
 
 
 def test_values_beyond_all_bounds_are_written() -> None:
