@@ -49,6 +49,7 @@ class Layout:
     across: str
     signs: dict[str, str]  # by action; its name where an arrow would not point at the next cell
     listed: bool = False  # whether places mean nothing: states stand in rows
+    held: str = ""  # the columns held fixed, with their values
 
     @property
     def cells(self) -> int:
@@ -132,6 +133,7 @@ def arrange(
         down=", ".join(below) or "-",
         across=", ".join(across) or "-",
         signs=_choose_arrows(model, *last),
+        held=", ".join(f"{name} {value}" for name, value in at.items()),
     )
 
 
