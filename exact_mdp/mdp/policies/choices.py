@@ -5,7 +5,7 @@ probabilities or action values; in a Q-table {action: value} is a row as well. {
 number} is a table of rows if it has all available actions, else {state: {action: number}}.
 `mdp.forms.names` states how to refer to a state or an action. A list or an array is a row, and so
 is a tuple that is not an action. Everything in a file is text: there the digits of a state are a
-number.
+number. In a text file a Q-table may have a line for each value: state,action,q.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, join_few, locate_errors, once_each
+from exact_mdp.mdp.forms.long_table import ACTION, STATE, usual_name
 from exact_mdp.mdp.forms.names import integer_of, is_number
 from exact_mdp.mdp.forms.numbers import convert_tensors, refuse_masked
 from exact_mdp.mdp.io.files import LARGE, STANDARD_INPUT, read_text, write_atomically
@@ -45,6 +46,7 @@ from exact_mdp.mdp.policies.tables import (
     is_number_text,
     parse_digits,
     parse_key,
+    parse_number,
     read_lines,
     read_table,
 )
@@ -53,6 +55,7 @@ from exact_mdp.mdp.table import Numbers, as_float, exact
 
 PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # in the printed form of a state
 PARTED = (".npz", ".json")  # files of which "FILE#NAME" names a part
+VALUES = ("q", "value", "q value", "action value")  # columns of a long Q-table
 PICKLES = (".pkl", ".pickle")
 Chances = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
@@ -469,6 +472,11 @@ def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
     """Return the policy in a text file: a table of numbers, or a list of actions with a header."""
     text = read_text(path)
     _, first = next(csv_of(io.StringIO(text)), (0, []))
+    heads = [*map(usual_name, first)]
+    for value in {*heads} & {*VALUES}:
+        if sorted(heads) == sorted((STATE, ACTION, value)):
+            places = [*map(heads.index, (STATE, ACTION, value))]
+            return _read_long_q_table(model, text, places, kind)
     header = {*map(str.strip, first)}
     if "action" in header or header <= {"state", *model.space.names}:
         return _read_listed_actions(model, text)
@@ -477,6 +485,20 @@ def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
     if isinstance(table, dict):
         return of_mapping(model, table, kind)
     return of_given_array(model, table, kind)
+
+
+def _read_long_q_table(model: MDP, text: str, places: Sequence[int], kind: str) -> Parts:
+    """Return the policy of a Q-table with a line for each state and action, and its value."""
+    rows = csv_of(io.StringIO(text))
+    next(rows)
+    values: dict[Any, list[tuple[str, Any]]] = {}
+    for number, row in rows:
+        state, action, value = (row[place].strip() for place in places)
+        with locate_errors(f"line {number}"):
+            values.setdefault(parse_key(state), []).append((action, parse_number(value)))
+    if kind == "auto":
+        kind = "q"
+    return of_mapping(model, {state: once_each(row) for state, row in values.items()}, kind)
 
 
 def _read_listed_actions(model: MDP, text: str) -> Parts:
@@ -488,7 +510,7 @@ def _read_listed_actions(model: MDP, text: str) -> Parts:
     by_state = columns == ["state"] and "state" not in model.space.names
     # The header has columns of the state, or one column `state`; and the action.
     known = ["action", "probability", *model.space.names]
-    if by_state:
+    if by_state or not {*columns} & {*known}:
         known = ["action", "probability", "state"]
     wrong = [name for name in header if name not in known]
     if wrong or "action" not in header or not columns or len(set(header)) != len(header):
@@ -498,7 +520,8 @@ def _read_listed_actions(model: MDP, text: str) -> Parts:
         raise ModelError(
             what,
             fix=f"write {','.join([*model.space.names, 'action'])}, or some of these columns; "
-            "numbers alone are a table: a row for each state, a column for each action",
+            "numbers alone are a table: a row for each state, a column for each action; "
+            "state,action,q is a Q-table with a line for each value",
         )
     # The states by number or name, or a space over the columns that the header names.
     space = model.space.untimed or model.space
