@@ -80,6 +80,18 @@ def test_long_text_files(tmp_path: Path, heads: str, named: bool) -> None:
     assert "state,action,q is a Q-table" in error.fix
 
 
+def test_columns_of_a_header_of_numbers_in_another_order(tmp_path: Path) -> None:
+    path = tmp_path / "q.csv"
+    for order in ([3, 1, 0, 2], [0, 1, 2, 3], [1, 2, 3, 0]):
+        pd.DataFrame(Q[:, order], columns=order).to_csv(path)
+        assert read(LAKE, path).tolist() == BEST
+    # Names that are numbers, but no positions.
+    doses = MDP.from_arrays(np.eye(16)[[0] * 16][np.newaxis].repeat(4, 0), Q, "1/2")
+    doses = doses.with_(actions=("30", "10", "20", "40"))
+    pd.DataFrame(Q[:, [1, 2, 0, 3]], columns=[10, 20, 30, 40]).to_csv(path)
+    assert read(doses, path).tolist() == Q.argmax(axis=1).tolist()
+
+
 def test_files_of_savetxt(tmp_path: Path) -> None:
     path = tmp_path / "q.txt"
     for comment in ("", "alpha 0.1", "trained for\n2000 episodes of 100"):
