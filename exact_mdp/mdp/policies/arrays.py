@@ -317,6 +317,8 @@ def _no_policy(model: MDP, array: Numbers, kind: str = "auto") -> ModelError:
             "; the model has only the states that can be reached from its start: for more states "
             "give {state: row}"
         )
+    elif shape[:1] > (states,) and model.observations is not None:
+        fix += "; the model has only the states of its records: give {state: row} of these"
     what = f"an array of shape {shape} and type {array.dtype} is not a policy of this model"
     if len(shape) == 2 and shape[0] == model.n_actions and space_of(model, shape[1]):
         what = f"an array of shape {shape} has a row for each action: it is the wrong way round"

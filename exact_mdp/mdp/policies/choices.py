@@ -50,6 +50,7 @@ from exact_mdp.mdp.policies.tables import (
     read_lines,
     read_table,
 )
+from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
@@ -72,7 +73,7 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
         space = model.space
         if space.untimed is not None and not _names_times(space, space.untimed, entries):
             space = space.untimed
-        number = space.number
+        number = _state_finder(model, space.number)
     entries = _by_pair(model, space, number, entries) or _keep_reachable(space, entries)
     choices = once_each([(number(key), choice) for key, choice in entries.items()], space.label)
     for key, same in _find_same_seen(space).items():
@@ -93,6 +94,23 @@ def _names_times(space: StateSpace, untimed: StateSpace, keys: Iterable[Any]) ->
     if all(map(untimed.lookup.can_find, keys)) or not all(isinstance(key, tuple) for key in keys):
         return False
     return all(map(space.lookup.can_find, keys))
+
+
+def _state_finder(model: MDP, find: Callable[[Any], int]) -> Callable[[Any], int]:
+    """Return a function that finds states; of an estimated model it says what records lack."""
+
+    def find_state(name: Any) -> int:
+        try:
+            return find(name)
+        except ModelError as error:
+            origin = origin_of(model)
+            observed = (origin.model if origin else model).observations
+            if observed is None or model.space.lookup.has_name(name):
+                raise
+            fix = f"leave it out: the model cannot come there; or {error.fix}"
+            raise ModelError(f"{error.what}; no record has this state", fix=fix) from None
+
+    return find_state
 
 
 def _by_text(column: Column) -> Callable[[object], int]:
@@ -120,6 +138,8 @@ def _by_pair(
         for state, action in entries:
             each.append((number(state), model.action_names.find_number(action)))
     except ModelError:
+        if not any(map(space.lookup.can_find, entries)):
+            raise
         return {}
     # Does every available action of a state with a choice have a number?
     rows = rows_read(model, space)[model.pair_state]
@@ -529,14 +549,18 @@ def _read_listed_actions(model: MDP, text: str) -> Parts:
         space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
     by_name = by_state or (len(columns) == 1 and bool(space.columns[0].words))
     chances: Chances = {}
+
+    def find_by_columns(entry: Any) -> int:
+        return space.index(**{c.name: c.number(entry[c.name]) for c in space.columns})
+
     # Each line adds an action of a row; several need probabilities.
     for number, row in rows:
         with locate_errors(f"line {number}"):
             entry = dict(zip(header, row, strict=True))
             if by_name:
-                key = space.number(parse_digits(entry[columns[0]]))
+                key = _state_finder(model, space.number)(parse_digits(entry[columns[0]]))
             else:
-                key = space.index(**{c.name: c.number(entry[c.name]) for c in space.columns})
+                key = _state_finder(model, find_by_columns)(entry)
             action = model.action_names.find_number(entry["action"])
             taken = chances.setdefault(key, {})
             if action in taken or (taken and "probability" not in header):
