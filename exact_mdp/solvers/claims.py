@@ -395,7 +395,7 @@ class Estimated(ClaimedNumber):
             cut = f" ± {self.cut_off:.2g} cut off"
         if isinf(self.standard_error):
             return f"{self.value:.6g}{cut} ({self.claim}, of one draw)"
-        error = float(f"{self.standard_error:.1g}")
+        error = float(f"{self.standard_error:.2g}")
         return f"{self.value:.6g} ± {error:g} s.e.{cut} ({self.claim})"
 
 
