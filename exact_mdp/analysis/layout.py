@@ -49,6 +49,7 @@ class Layout:
     across: str
     signs: dict[str, str]  # by action; its name where an arrow would not point at the next cell
     listed: bool = False  # whether places mean nothing: states stand in rows
+    held: str = ""  # the columns held fixed, with their values
 
     @property
     def cells(self) -> int:
@@ -87,7 +88,7 @@ def arrange(
     names go down, except the time of a model with a horizon. `at` holds columns fixed, such as
     `trial=0`: other states are left out.
     """
-    sides = _find_columns(model)
+    sides = find_columns(model)
     down, across = ([each] if isinstance(each, str) else each for each in (down, across))
     named = [*(down or ()), *(across or ()), *at]
     for name in named:
@@ -132,10 +133,11 @@ def arrange(
         down=", ".join(below) or "-",
         across=", ".join(across) or "-",
         signs=_choose_arrows(model, *last),
+        held=", ".join(f"{name} {value}" for name, value in at.items()),
     )
 
 
-def _find_columns(model: MDP) -> Sides:
+def find_columns(model: MDP) -> Sides:
     """Return the columns of states; of tuples, their parts.
 
     Tuples have parts if all have one length, all other states are terminal, and few cells are

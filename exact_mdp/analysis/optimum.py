@@ -97,6 +97,10 @@ class Optimum:
             chosen = {label: policy[state] for label, state in first.items()}
         elif mdp.n_states <= MOST_LISTED:
             chosen = dict(zip(state_names(mdp.space), policy, strict=True))
+        # Every action is as bad as the others where even the best value is infinitely bad.
+        hopeless = self.value == (np.inf if mdp.sense.costs else -np.inf)
+        if mdp.ends.must_choose.any() and hopeless[mdp.ends.must_choose].all():
+            chosen = None
         facts = {
             "claim": Shown(self.start.claim),
             "start_value": Shown(float(self.start), self.start),

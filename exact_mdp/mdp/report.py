@@ -303,7 +303,8 @@ def format_cell(value: Any, form: str = "") -> str:
         error = value.standard_error
         if not math.isfinite(error):
             return format_number(value.value)
-        return f"{format_number(value.value, error)} ± {format_number(float(f'{error:.1g}'))}"
+        error = float(f"{error:.2g}")
+        return f"{format_number(value.value, error / 10)} ± {format_number(error)}"
     if _has_claim(value):
         return format_number(float(value.value), error_of(value))
     if isinstance(value, Mapping):
@@ -324,7 +325,7 @@ def format_fact(value: Any) -> str:
         error = value.standard_error
         if not math.isfinite(error):
             return f"{format_number(value.value)} ({value.claim}, of one draw)"
-        claim = f"{value.claim}, standard error {error:.2g}"
+        claim = f"{value.claim}, standard error {float(f'{error:.2g}'):g}"
         if value.cut_off:
             claim += f", cut off within {format_error_bound(value.cut_off)}"
         return f"{format_number(value.value, error / 10)} ({claim})"

@@ -173,9 +173,9 @@ def _find_bounds(number: Ordered | Real) -> LowHigh:
 
 
 class ClaimedNumber(Ordered):
-    """A number with a claim: it compares, converts and formats as a plain number does.
+    """A number with a claim: it compares, converts, rounds and formats as a plain number does.
 
-    `f"{number:.3f}"` is the text of `float(number)`; without a format, the text says the claim.
+    `f"{number:.3f}"` and `round` are of `float(number)`; without a format, the text says the claim.
     `==` never raises: a certified number equals plain numbers of its value; any other equals those
     of its own type with the same fields, and no plain number. In an `if`, all are true, also 0.
     """
@@ -188,6 +188,9 @@ class ClaimedNumber(Ordered):
         if not spec:
             return str(self)
         return format(float(self), spec)
+
+    def __round__(self, digits: int | None = None) -> float:
+        return round(float(self), digits)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -395,7 +398,7 @@ class Estimated(ClaimedNumber):
             cut = f" ± {self.cut_off:.2g} cut off"
         if isinf(self.standard_error):
             return f"{self.value:.6g}{cut} ({self.claim}, of one draw)"
-        error = float(f"{self.standard_error:.1g}")
+        error = float(f"{self.standard_error:.2g}")
         return f"{self.value:.6g} ± {error:g} s.e.{cut} ({self.claim})"
 
 

@@ -13,6 +13,7 @@ from types import SimpleNamespace  # noqa: F401 - the table names it
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from cli_runner import run
 from hypothesis import given, settings
@@ -460,6 +461,27 @@ def shares(share: str) -> str:
 
 
 test_what_is_no_policy = table_of_refusals(__file__, globals())
+
+
+def test_states_that_no_record_has(tmp_path: Path) -> None:
+    rows = [(e, s, (e + s) % 2, 1, s + 1) for e in (0, 1) for s in range(5)]
+    frame = pd.DataFrame(rows, columns=["episode", "state", "action", "reward", "next_state"])
+    named = frame.assign(state=[f"s{s}" for s in frame.state])
+    named["next_state"] = [f"s{s}" for s in frame.next_state]
+    path = tmp_path / "p.csv"
+    path.write_text("state,action\n0,0\n7,0\n", "utf-8")
+    for records, policy in (
+        (frame, {0: 0, 7: 0}),
+        (frame, {(s, a): 0.5 for s in (0, 7) for a in (0, 1)}),
+        (frame, path),
+        (named, {"s0": 0, "s7": 0}),
+    ):
+        mdp = MDP.from_transitions(records, "9/10")
+        for model in (mdp, mdp.within(3)):
+            refused(lambda model=model, policy=policy: Policy.of(model, policy), "no record has")
+    refused(lambda: Policy.of(mdp, np.zeros((7, 2)), kind="q"), "shape (7, 2)", "", "its records")
+    error = refused(lambda: Policy.of(LAKE, {99: "DOWN"}), "there is no state 99")
+    assert "record" not in error.what
 
 
 def test_arrays_and_names_that_are_no_policy(tmp_path: Path) -> None:

@@ -55,6 +55,43 @@ def test_text_files_with_and_without_headers(
     assert read(LAKE, path).tolist() == BEST
 
 
+@pytest.mark.parametrize("heads", ["s,a,value", "state,action,q", "Action,Q_value,State"])
+@pytest.mark.parametrize("named", [False, True])
+def test_long_text_files(tmp_path: Path, heads: str, named: bool) -> None:
+    """A line for each state and action, in any order."""
+    lines = []
+    for s, a in reversed(PAIRS):
+        action = LAKE.actions[a] if named else str(a)
+        line = [str(s), action, str(Q[s, a])]
+        lines.append(",".join(line if heads[0] == "s" else [line[1], line[2], line[0]]))
+    path = tmp_path / "q.csv"
+    path.write_text("\n".join([heads, *lines]), "utf-8")
+    assert read(LAKE, path).tolist() == BEST
+    for changed, said in (
+        ([heads, *lines[:-1]], "there is no value for LEFT"),
+        ([heads, *lines, lines[-1]], "appears twice"),
+        ([heads, *lines[:-4]], "1 of 16 rows are missing"),
+        ([heads, lines[0].replace("15", "16"), *lines[1:]], "there is no state 16"),
+        (["state,action,worth", "0,LEFT,1"], "unknown column 'worth'"),
+        (["state,action,q,extra", "0,LEFT,1,1"], "unknown column 'q'"),
+    ):
+        path.write_text("\n".join(changed), "utf-8")
+        error = refused(lambda: read(LAKE, path), said)
+    assert "state,action,q is a Q-table" in error.fix
+
+
+def test_columns_of_a_header_of_numbers_in_another_order(tmp_path: Path) -> None:
+    path = tmp_path / "q.csv"
+    for order in ([3, 1, 0, 2], [0, 1, 2, 3], [1, 2, 3, 0]):
+        pd.DataFrame(Q[:, order], columns=order).to_csv(path)
+        assert read(LAKE, path).tolist() == BEST
+    # Names that are numbers, but no positions.
+    doses = MDP.from_arrays(np.eye(16)[[0] * 16][np.newaxis].repeat(4, 0), Q, "1/2")
+    doses = doses.with_(actions=("30", "10", "20", "40"))
+    pd.DataFrame(Q[:, [1, 2, 0, 3]], columns=[10, 20, 30, 40]).to_csv(path)
+    assert read(doses, path).tolist() == Q.argmax(axis=1).tolist()
+
+
 def test_files_of_savetxt(tmp_path: Path) -> None:
     path = tmp_path / "q.txt"
     for comment in ("", "alpha 0.1", "trained for\n2000 episodes of 100"):

@@ -270,7 +270,7 @@ def test_three_kinds_of_number() -> None:
         ("bounded", "1 ± 0.5 (bounded)"),
         ("estimated", "1 ± 0.5 s.e. (estimated)"),
     ]
-    assert str(Estimated(value=1408.1, standard_error=162.0)) == "1408.1 ± 200 s.e. (estimated)"
+    assert str(Estimated(value=1408.1, standard_error=162.0)) == "1408.1 ± 160 s.e. (estimated)"
     # Python writes no integer of over 4,300 digits
     assert str(Certified(value=F(3**9500, 4**7529))) == "≈ 0.552389135964 (certified)"
 

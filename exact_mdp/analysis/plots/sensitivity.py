@@ -130,14 +130,14 @@ def plot_tornado(
     # Bars reach from today's value to the values at both ends, the widest bars first.
     middle = today[output].value
     column = {"optimal": "value", "fixed": "fixed_value"}.get(output, output)
-    table = tornado.frame()
-    reach = table[[f"{column}_low", f"{column}_high"]].to_numpy() - middle
-    order = np.argsort(-np.abs(reach).max(axis=1), kind="stable")[:most]
-    rows = table[["parameter", "low", "high"]].iloc[order]
+    swing = {"optimal": "swing", "fixed": "fixed_swing", "regret": "regret"}
+    table = tornado.frame(swing.get(output, "difference_swing"))
+    reach = table[[f"{column}_low", f"{column}_high"]].to_numpy()[:most] - middle
+    rows = table[["parameter", "low", "high"]].head(most)
     names = [_with_range(*row) for row in rows.itertuples(index=False)]
     # The wider of two ends is drawn first, so that the other stays visible.
     drawn = []
-    for row, both in enumerate(reach[order]):
+    for row, both in enumerate(reach):
         ends = zip(both, (LOW, HIGH), strict=True)
         for end, look in sorted(ends, key=lambda each: -abs(each[0])):
             drawn.append((row, end, look))

@@ -8,7 +8,8 @@ down, across and the columns held fixed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
@@ -31,6 +32,7 @@ from exact_mdp.analysis.layout import (
     arrange,
     build_cells,
     ends_of,
+    find_columns,
     shorten_names,
 )
 from exact_mdp.analysis.optimum import actions_of
@@ -152,9 +154,9 @@ def plot_states(
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
         texts = [*map(layout.format_actions, choices)]
     acts = policy is not None and not (layout.listed and model.n_states > MOST_NAMED)
-    signs = []
+    signs: list[Artist] = []
     if acts:
-        signs = _make_sign_handles(layout)
+        signs = [*_make_sign_handles(layout, (texts[s] for s in layout.shown.tolist()))]
     acting = ""
     if acts:
         acting = ", and what the policy does"
@@ -183,7 +185,13 @@ def plot_states(
         lines = [ends[state][0] if state in ends else texts[state], number]
         look = {"fill": SHADES(share), "ink": "white" if share > 0.7 else BLACK}
         shown[state] = "\n".join(filter(None, lines)), look | {"edgecolor": "0.8"}
-    return _draw_map(model, layout, ax, what, shown, signs, (ScalarMappable(scale, SHADES), label))
+    # One value needs no scale.
+    bar = None
+    if high > low:
+        bar = ScalarMappable(scale, SHADES), label
+    elif len(known):
+        signs.append(make_swatch(f"{low:.4g}", {"fill": SHADES(0.0), "hatch": ""}))
+    return _draw_map(model, layout, ax, what, shown, signs, bar)
 
 
 @apply_style
@@ -229,6 +237,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     layout, mdp = _place_states(audit.mdp, place), audit.mdp
     drawn = [each for each in chain(*build_cells(audit, layout)) if each is not None]
     ends, shown = ends_of(mdp), dict[int, tuple[str, Look]]()
+    lossy = any(each.cost > 0 for each in audit.disagreements)
     # The look of each cell: wrong ones have a fill by their loss and a heavy frame.
     for each in drawn:
         if each.state in ends:
@@ -237,32 +246,26 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
             text = f"{each.text}\n{each.small}".strip()
         look: Look = {"edgecolor": "0.8", "ink": "0.5" if each.kind == "idle" else BLACK}
         if each.kind == "wrong":
-            look |= {"fill": LOSSES(min(each.shade, 1.0)), "edgecolor": ORANGE}
-            look |= {"linewidth": 1.6, "zorder": 2}
+            look |= {"edgecolor": ORANGE, "linewidth": 1.6, "zorder": 2}
+            if lossy:
+                look["fill"] = LOSSES(min(each.shade, 1.0))
         shown[each.state] = text, look
     # The colour bar reaches to the largest finite loss.
     losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
     colours = ScalarMappable(Normalize(0.0, max(losses, default=0.0)), LOSSES)
     words = []
-    if losses:
+    if any(each.kind == "wrong" for each in drawn):
         words = ["✗ not optimal; below it\n   the optimal action"]
     if any(each.kind == "idle" for each in drawn):
         words.append("grey sign: not wrong;\n   no choice or no visit")
     lost = float(audit.regret.at_start.value)
+    texts = [text for text, _ in shown.values()]
     what = f"Where the policy is not optimal; regret at the start {lost:.4g}"
-    if losses:
+    bar = None
+    if max(losses, default=0.0) > 0:
         bar = (colours, "what the state loses (reward)")
-    else:
-        bar = None
-    return _draw_map(
-        mdp,
-        layout,
-        ax,
-        what,
-        shown,
-        [*map(_make_text_handle, words), *_make_sign_handles(layout)],
-        bar,
-    )
+    signs = [*map(_make_text_handle, words), *_make_sign_handles(layout, texts)]
+    return _draw_map(mdp, layout, ax, what, shown, signs, bar)
 
 
 # ---- maps --------------------------------------------------------------------------------------
@@ -271,11 +274,13 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
 def _place_states(model: MDP, place: Mapping[str, Any]) -> Layout:
     layout = arrange(model, **place)
     if layout.cells > MOST_CELLS:
-        raise ModelError(
-            f"a map of {layout.cells:,} cells",
-            where="plot",
-            fix="hold columns fixed, such as trial=0, or read the table: .frame()",
-        )
+        columns = [column for column, _ in find_columns(model).values() if not layout.listed]
+        fix = "read the table: .frame()"
+        for most in sorted(columns, key=lambda column: column.size)[-1:]:
+            first = most.label(0)
+            value = first if first == "0" else repr(first)
+            fix = f"hold columns fixed, such as {most.name}={value}, or {fix}"
+        raise ModelError(f"a map of {layout.cells:,} cells", where="plot", fix=fix)
     return layout
 
 
@@ -351,6 +356,10 @@ def _draw_map(
         bar = ax.figure.colorbar(colours[0], ax=ax, label=colours[1], **place)
         bar.outline.set_visible(False)
     handles = [*handles, *_signs_of_states(ax, model, layout)]
+    if not font:  # no sign is drawn
+        handles = [each for each in handles if isinstance(each, Patch)]
+    if layout.held:
+        what += f"; {layout.held}"
     return label_axes(ax, what, model.name, handles=handles)
 
 
@@ -368,10 +377,11 @@ def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
     return [*listed, *(_make_text_handle(f"{sign} {words}") for sign, words in shown)]
 
 
-def _make_sign_handles(layout: Layout) -> list[Line2D]:
-    """Return a legend's entries for the signs of actions that need an explanation."""
-    signs = layout.signs.items()
-    open_ = [f"{sign} {action}" for action, sign in signs if sign not in (action, *ARROWS)]
+def _make_sign_handles(layout: Layout, texts: Iterable[str]) -> list[Line2D]:
+    """Return a legend's entries for the signs of actions in some texts that need an explanation."""
+    signs, drawn = layout.signs.items(), {*re.split(r"[\s/]", " ".join(texts))}
+    shown = [(sign, action) for action, sign in signs if sign in drawn]
+    open_ = [f"{sign} {action}" for sign, action in shown if sign not in (action, *ARROWS)]
     return [*map(_make_text_handle, open_[: 2 * len(ARROWS)])]
 
 

@@ -181,8 +181,7 @@ def _name_columns(given: dict[str, list[Any]], where: str) -> dict[str, list[Any
     """Return the columns under their own names; ModelError if one is missing, or there twice."""
     columns: dict[str, list[Any]] = {}
     for name, values in given.items():
-        plain = name.strip().lower().replace("_", " ")
-        known = USUAL.get(plain, plain)
+        known = usual_name(name)
         if known not in (*PLACES, *AMOUNTS):
             known = name
         if known in columns:
@@ -201,6 +200,12 @@ def _name_columns(given: dict[str, list[Any]], where: str) -> dict[str, list[Any
         fix = "add a column reward or cost, with 0 where nothing is earned"
         raise ModelError("the table has no reward", where=where, fix=fix)
     return columns
+
+
+def usual_name(name: str) -> str:
+    """Return the own name of a column: state for S, next state for next_state."""
+    plain = name.strip().lower().replace("_", " ")
+    return USUAL.get(plain, plain)
 
 
 def _require_there(cell: Any, what: str, place: str) -> None:

@@ -24,6 +24,7 @@ import warnings
 from ast import literal_eval
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from inspect import Parameter, signature
 from typing import Any, Self
 
 import numpy as np
@@ -46,6 +47,7 @@ from exact_mdp.mdp.io.gymnasium_table import (
     Rows,
     compare_with_table,
     find_first_changing,
+    is_flag,
     is_outcome_table,
     is_whole_number,
     layers_of,
@@ -61,6 +63,7 @@ END = "end"
 STARTS = ("initial_state_distrib", "isd")  # names of the initial distribution in environments
 GRID = (Column(name="row", size=0), Column(name="column", size=0))
 WORDS = {"true": "True", "false": "False", "none": "None"}
+SWITCHES = ("yes", "no", "on", "off")
 PLACES = ("Red", "Green", "Yellow", "Blue")
 TOYS = {
     "FrozenLakeEnv": (("LEFT", "DOWN", "RIGHT", "UP"), GRID),
@@ -124,8 +127,10 @@ class FromGymnasium(FromFunction):
         """
         if isinstance(env, str):
             check_options({*names} & {"gamma"}, {})
-            made = _make_environment(env, **{name: names.pop(name) for name in {*names} - KNOWN})
+            options = {name: names.pop(name) for name in {*names} - KNOWN}
+            made = _make_environment(env, **options)
             try:
+                _refuse_other_types(made, options)
                 return cls.from_gymnasium(made, discount, **{"name": env} | names)
             finally:
                 made.close()
@@ -347,18 +352,53 @@ def parse_options(texts: Mapping[str, str]) -> dict[str, Any]:
     """Return the options of an environment from texts such as "False", "3" or "8x8".
 
     A text is the value that it writes in Python; true, false and none may be in small letters, and
-    any other text is a text.
+    any other text is a text. yes, no, on and off are refused, since a text counts as true.
     """
     options: dict[str, Any] = {}
     for name, text in texts.items():
         if name in KNOWN or name in ("env", "discount"):
             what = f"{name} is a part of the model, not an option of the environment"
             raise ModelError(what, where="--env", fix=f"give --{name}, if the command has it")
+        if text.lower() in SWITCHES:
+            fix = f"write {name}=True or {name}=False, or a text in quotes: {name}=\"'{text}'\""
+            raise ModelError(f"{text} may be a truth value or a text", where="--env", fix=fix)
         try:
             options[name] = literal_eval(WORDS.get(text.lower(), text))
         except (ValueError, SyntaxError, MemoryError, RecursionError):
             options[name] = text
     return options
+
+
+def _refuse_other_types(made: Any, options: Mapping[str, Any]) -> None:
+    """Raise ModelError for an option of a type other than its default's, if one of them is a text.
+
+    It may be taken in silence: every text but the empty one counts as true.
+    """
+    from gymnasium import registry
+    from gymnasium.envs.registration import load_env_creator
+
+    creator = made.spec.entry_point
+    if isinstance(creator, str):
+        creator = load_env_creator(creator)
+    usual: dict[str, Any] = {}
+    for maker in (type(made.unwrapped), creator):
+        for each in signature(maker).parameters.values():
+            usual[each.name] = each.default
+    usual |= getattr(registry.get(made.spec.id), "kwargs", {})
+    for name, value in options.items():
+        default = usual.get(name)
+        if default is Parameter.empty or default is None:
+            continue
+        kind = type(default).__name__
+        wrong = value is not None and isinstance(value, str) != isinstance(default, str)
+        if isinstance(default, bool):
+            wrong = not is_flag(value)
+        if wrong:
+            raise ModelError(
+                f"{name} is {value!r}, and its default {default!r} of type {kind}",
+                where=f"gymnasium:{made.spec.id}",
+                fix=f"give a value of type {kind}",
+            )
 
 
 def _make_environment(name: str, **options: Any) -> Any:

@@ -156,7 +156,7 @@ def is_whole_number(number: Any) -> bool:
     return isinstance(number, int | np.integer) and not isinstance(number, bool)
 
 
-def _is_flag(value: Any) -> bool:
+def is_flag(value: Any) -> bool:
     """Return whether a value is True or False, 1 or 0."""
     if isinstance(value, bool | np.bool_):
         return True
@@ -180,7 +180,7 @@ def _parse_table_outcome(given: Any, place: str) -> Outcome:
         why = f"it has {len(values)} entries"
     elif not is_whole_number(values[1]):
         why = f"its next state is {values[1]!r}"
-    elif not _is_flag(values[3]):
+    elif not is_flag(values[3]):
         why = f"terminated is {values[3]!r}"
     if why:
         raise ModelError(f"an outcome is {given!r}: {why}", where=place, fix=LISTED)

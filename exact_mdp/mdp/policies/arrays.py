@@ -297,22 +297,28 @@ def find_table_axes(
 
 def _no_policy(model: MDP, array: Numbers, kind: str = "auto") -> ModelError:
     """Return the error for an array that is not a policy of this model, with advice."""
-    shape, table = array.shape, f"({model.n_states}, {model.n_actions})"
+    # States count without their time, by which a table may still differ.
+    states = (model.space.untimed or model.space).size
+    shape, table = array.shape, f"({states}, {model.n_actions})"
     fix = (
-        f"give {model.n_states} whole numbers of actions, or probabilities or action values in "
+        f"give {states} whole numbers of actions, or probabilities or action values in "
         f"an array {table}, a row for each state"
     )
     if "status" in model.space.names:
         fix += ", or one for each status"
-    if shape == (model.n_states,) and array.dtype.kind in "iu" and kind == "q":
+    if states < model.n_states:
+        fix += f"; if they depend on time, ({model.space.columns[0].size - 1}, {table[1:]}"
+    if shape == (states,) and array.dtype.kind in "iu" and kind == "q":
         fix = f'leave kind="q" out of action numbers, or give action values in an array {table}'
-    elif shape == (model.n_states,) and array.dtype.kind == "f" and (array == array.round()).all():
+    elif shape == (states,) and array.dtype.kind == "f" and (array == array.round()).all():
         fix = "give array.astype(int), whole numbers of actions"
-    elif shape[:1] > (model.n_states,) and any(column.objects for column in model.space.columns):
+    elif shape[:1] > (states,) and any(column.objects for column in model.space.columns):
         fix += (
             "; the model has only the states that can be reached from its start: for more states "
             "give {state: row}"
         )
+    elif shape[:1] > (states,) and model.observations is not None:
+        fix += "; the model has only the states of its records: give {state: row} of these"
     what = f"an array of shape {shape} and type {array.dtype} is not a policy of this model"
     if len(shape) == 2 and shape[0] == model.n_actions and space_of(model, shape[1]):
         what = f"an array of shape {shape} has a row for each action: it is the wrong way round"

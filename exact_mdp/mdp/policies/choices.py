@@ -5,7 +5,7 @@ probabilities or action values; in a Q-table {action: value} is a row as well. {
 number} is a table of rows if it has all available actions, else {state: {action: number}}.
 `mdp.forms.names` states how to refer to a state or an action. A list or an array is a row, and so
 is a tuple that is not an action. Everything in a file is text: there the digits of a state are a
-number.
+number. In a text file a Q-table may have a line for each value: state,action,q.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, join_few, locate_errors, once_each
+from exact_mdp.mdp.forms.long_table import ACTION, STATE, usual_name
 from exact_mdp.mdp.forms.names import integer_of, is_number
 from exact_mdp.mdp.forms.numbers import convert_tensors, refuse_masked
 from exact_mdp.mdp.io.files import LARGE, STANDARD_INPUT, read_text, write_atomically
@@ -45,14 +46,17 @@ from exact_mdp.mdp.policies.tables import (
     is_number_text,
     parse_digits,
     parse_key,
+    parse_number,
     read_lines,
     read_table,
 )
+from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
 PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # in the printed form of a state
 PARTED = (".npz", ".json")  # files of which "FILE#NAME" names a part
+VALUES = ("q", "value", "q value", "action value")  # columns of a long Q-table
 PICKLES = (".pkl", ".pickle")
 Chances = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
@@ -69,7 +73,7 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
         space = model.space
         if space.untimed is not None and not _names_times(space, space.untimed, entries):
             space = space.untimed
-        number = space.number
+        number = _state_finder(model, space.number)
     entries = _by_pair(model, space, number, entries) or _keep_reachable(space, entries)
     choices = once_each([(number(key), choice) for key, choice in entries.items()], space.label)
     for key, same in _find_same_seen(space).items():
@@ -90,6 +94,23 @@ def _names_times(space: StateSpace, untimed: StateSpace, keys: Iterable[Any]) ->
     if all(map(untimed.lookup.can_find, keys)) or not all(isinstance(key, tuple) for key in keys):
         return False
     return all(map(space.lookup.can_find, keys))
+
+
+def _state_finder(model: MDP, find: Callable[[Any], int]) -> Callable[[Any], int]:
+    """Return a function that finds states; of an estimated model it says what records lack."""
+
+    def find_state(name: Any) -> int:
+        try:
+            return find(name)
+        except ModelError as error:
+            origin = origin_of(model)
+            observed = (origin.model if origin else model).observations
+            if observed is None or model.space.lookup.has_name(name):
+                raise
+            fix = f"leave it out: the model cannot come there; or {error.fix}"
+            raise ModelError(f"{error.what}; no record has this state", fix=fix) from None
+
+    return find_state
 
 
 def _by_text(column: Column) -> Callable[[object], int]:
@@ -117,6 +138,8 @@ def _by_pair(
         for state, action in entries:
             each.append((number(state), model.action_names.find_number(action)))
     except ModelError:
+        if not any(map(space.lookup.can_find, entries)):
+            raise
         return {}
     # Does every available action of a state with a choice have a number?
     rows = rows_read(model, space)[model.pair_state]
@@ -469,6 +492,11 @@ def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
     """Return the policy in a text file: a table of numbers, or a list of actions with a header."""
     text = read_text(path)
     _, first = next(csv_of(io.StringIO(text)), (0, []))
+    heads = [*map(usual_name, first)]
+    for value in {*heads} & {*VALUES}:
+        if sorted(heads) == sorted((STATE, ACTION, value)):
+            places = [*map(heads.index, (STATE, ACTION, value))]
+            return _read_long_q_table(model, text, places, kind)
     header = {*map(str.strip, first)}
     if "action" in header or header <= {"state", *model.space.names}:
         return _read_listed_actions(model, text)
@@ -477,6 +505,20 @@ def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
     if isinstance(table, dict):
         return of_mapping(model, table, kind)
     return of_given_array(model, table, kind)
+
+
+def _read_long_q_table(model: MDP, text: str, places: Sequence[int], kind: str) -> Parts:
+    """Return the policy of a Q-table with a line for each state and action, and its value."""
+    rows = csv_of(io.StringIO(text))
+    next(rows)
+    values: dict[Any, list[tuple[str, Any]]] = {}
+    for number, row in rows:
+        state, action, value = (row[place].strip() for place in places)
+        with locate_errors(f"line {number}"):
+            values.setdefault(parse_key(state), []).append((action, parse_number(value)))
+    if kind == "auto":
+        kind = "q"
+    return of_mapping(model, {state: once_each(row) for state, row in values.items()}, kind)
 
 
 def _read_listed_actions(model: MDP, text: str) -> Parts:
@@ -488,7 +530,7 @@ def _read_listed_actions(model: MDP, text: str) -> Parts:
     by_state = columns == ["state"] and "state" not in model.space.names
     # The header has columns of the state, or one column `state`; and the action.
     known = ["action", "probability", *model.space.names]
-    if by_state:
+    if by_state or not {*columns} & {*known}:
         known = ["action", "probability", "state"]
     wrong = [name for name in header if name not in known]
     if wrong or "action" not in header or not columns or len(set(header)) != len(header):
@@ -498,7 +540,8 @@ def _read_listed_actions(model: MDP, text: str) -> Parts:
         raise ModelError(
             what,
             fix=f"write {','.join([*model.space.names, 'action'])}, or some of these columns; "
-            "numbers alone are a table: a row for each state, a column for each action",
+            "numbers alone are a table: a row for each state, a column for each action; "
+            "state,action,q is a Q-table with a line for each value",
         )
     # The states by number or name, or a space over the columns that the header names.
     space = model.space.untimed or model.space
@@ -506,14 +549,18 @@ def _read_listed_actions(model: MDP, text: str) -> Parts:
         space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
     by_name = by_state or (len(columns) == 1 and bool(space.columns[0].words))
     chances: Chances = {}
+
+    def find_by_columns(entry: Any) -> int:
+        return space.index(**{c.name: c.number(entry[c.name]) for c in space.columns})
+
     # Each line adds an action of a row; several need probabilities.
     for number, row in rows:
         with locate_errors(f"line {number}"):
             entry = dict(zip(header, row, strict=True))
             if by_name:
-                key = space.number(parse_digits(entry[columns[0]]))
+                key = _state_finder(model, space.number)(parse_digits(entry[columns[0]]))
             else:
-                key = space.index(**{c.name: c.number(entry[c.name]) for c in space.columns})
+                key = _state_finder(model, find_by_columns)(entry)
             action = model.action_names.find_number(entry["action"])
             taken = chances.setdefault(key, {})
             if action in taken or (taken and "probability" not in header):

@@ -33,6 +33,7 @@ from exact_mdp.mdp.table import Numbers, exact
 WHOLE = re.compile(r"\s*-?(0|[1-9]\d{0,17})\s*", re.ASCII)
 NO_NUMBER = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 NUMPY_NUMBER = re.compile(r"np\.\w+\(([^()]*)\)")  # as repr((np.int64(0), np.int64(1)))
+CORNERS = ("", "s", "state")  # above a column of states
 Line = tuple[int, list[str]]
 
 
@@ -140,8 +141,10 @@ def _split_header(
         if len(lines) == 1:
             raise ModelError("the table has no rows", fix="give a row for each state")
         return first, lines[1:]
-    # Numbers from 0 may number the actions, or be values.
-    if first[1:] == numbered[:-1] and not is_number_text(first[0]):
+    # Numbers may be actions, or values.
+    corner = width == model.n_actions + 1 and first[0].lower() in CORNERS
+    listed = corner and all(map(model.action_names.can_find, first[1:]))
+    if (listed or first[1:] == numbered[:-1]) and not is_number_text(first[0]):
         if not model.space.lookup.can_find(parse_key(first[0])):
             return first, lines[1:]
     elif first == numbered:

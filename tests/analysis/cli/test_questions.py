@@ -313,3 +313,18 @@ def test_whatever_reads_a_model_takes_a_start(
         assert result["reachable"] == 1
     else:
         assert result["start"] == "1"
+
+
+def test_no_policy_is_shown_where_all_are_infinitely_bad(tmp_path: Path) -> None:
+    """Who may drown before a choice cannot do well; who drowns by choice does better or worse."""
+    rows = [(0, a, [("1/2", 1, 1), ("1/2", 2, 1)]) for a in (0, 1)]
+    rows += [(1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+    home = {"home": [False, True, False]}
+    MDP.from_outcomes(rows, labels=home).save(tmp_path / "hopeless.npz")
+    shown = run("solve", tmp_path / "hopeless.npz", *HOME)
+    assert "policies cannot be compared" in shown.err
+    assert "inf" in shown.out
+    assert "optimal action" not in shown.out
+    LAND.save(tmp_path / "land.npz")
+    for words in (HOME, ("--until", "home")):  # 3 at best, +∞ at worst
+        assert "optimal action" in run("solve", tmp_path / "land.npz", *words).out

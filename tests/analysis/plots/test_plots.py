@@ -11,6 +11,7 @@ from picture_texts import legend_of, texts_of
 
 from exact_mdp import (
     MDP,
+    Family,
     QLearning,
     Scenario,
     check,
@@ -186,3 +187,20 @@ def test_figures_of_indices() -> None:
     widths = [patch.get_width() for patch in ax.patches]
     assert widths[2:] == sorted(total.values(), reverse=True)[:2]
     assert ax.get_yticklabels()[0].get_text().startswith(max(total, key=total.__getitem__))
+
+
+def test_bars_stand_in_the_order_of_the_table() -> None:
+    """By the whole length of a bar, not by the end that is farther from today's value."""
+    family = Family(
+        parameters={"near": 2, "far": 0},
+        build=lambda at: MDP.from_arrays([[[0, 1], [0, 1]]], [at["near"] + at["far"], 0]),
+    )
+    bars = tornado(family, ranges={"near": (0, 4), "far": (0, 3)})
+    assert bars.frame()["parameter"].tolist() == ["near", "far"]
+    for output in ("optimal", "fixed", "regret"):
+        shown = texts_of(bars.plot(output=output).get_yticklabels())
+        assert shown == ["near [0, 4]", "far [0, 3]"]
+    assert texts_of(bars.plot(most=1).get_yticklabels()) == ["near [0, 4]"]
+    wide = {"near": ("3/2", "5/2"), "far": ("-4/5", "1/10")}
+    shown = texts_of(tornado(family, ranges=wide).plot().get_yticklabels())
+    assert shown == ["near [1.5, 2.5]", "far [-0.8, 0.1]"]

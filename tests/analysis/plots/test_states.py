@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_models import forest, grid
 from picture_texts import legend_of, texts, texts_of
+from refusal_tables import refused
 
 from exact_mdp import (
     MDP,
@@ -48,6 +49,47 @@ def test_a_map_over_any_two_columns() -> None:
     policy = plots.plot_policy(mdp, "always:directive", subtask=1)
     assert set(texts(policy).values()) == {"a3"}
     assert len(texts(policy)) == 32
+
+
+def test_a_map_that_is_too_large_names_a_column_to_hold_fixed() -> None:
+    """What is advised can be drawn; states that are only numbered have no columns."""
+    care = Scenario.load("yuan2025").with_(tasks=[2] * 30).compile()
+    cliff = MDP.from_gymnasium("CliffWalking-v1").within(100)
+    for mdp, name in ((cliff, "time"), (care, "subtask")):
+        error = refused(lambda mdp=mdp: plots.plot_policy(mdp, "random"), "cells", "plot")
+        assert f"such as {name}=0, or read" in error.fix
+        plots.plot_policy(mdp, "random", **{name: 0})
+    numbered = MDP.from_arrays([np.eye(4500)], np.zeros(4500), 0.9)
+    refused(
+        lambda: plots.plot_policy(numbered, "random"),
+        "4,500 cells",
+        "plot",
+        "=read the table: .frame()",
+    )
+
+
+def test_a_legend_explains_what_is_drawn_alone() -> None:
+    """Nothing lost: no scale, no shade. Cells without texts: no sign. A title says the time."""
+    lake = MDP.from_gymnasium("FrozenLake-v1", "9/10", is_slippery=False)
+    best = check(lake, solve(lake).policy).plot()
+    assert not any("✗" in words for words in legend_of(best))
+    assert len(best.figure.axes) == 1
+    # A policy that is wrong where nobody comes loses nothing.
+    unseen = [solve(lake).policy[state] for state in range(16)]
+    unseen[3] = 2
+    audit = check(lake, unseen)
+    assert audit.regret.at_start.value == 0
+    assert audit.disagreements
+    ax = audit.plot()
+    assert len(ax.figure.axes) == 1
+    assert any("✗" in words for words in legend_of(ax))
+    assert {patch.get_facecolor() for patch in ax.patches if patch.get_fill()} == {(1, 1, 1, 1)}
+    assert len(check(lake, [0] * 16).plot().figure.axes) == 2
+    timed = check(lake, [0] * 16, horizon=60)
+    assert legend_of(timed.plot()) == ["start"]
+    assert "; time 50 – " in timed.plot(time=50).get_title(loc="left")
+    same = plots.plot_states(lake, np.full(16, 2.5))
+    assert (len(same.figure.axes), legend_of(same)[0]) == (1, "2.5")
 
 
 def test_values_beyond_all_bounds_are_written() -> None:

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from bare_numbers import bare_numbers
 
-from exact_mdp import Bounded, Certified
-from exact_mdp.mdp.report import Report, Table, list_claim_facts
+from exact_mdp import Bounded, Certified, Estimated
+from exact_mdp.mdp.report import Report, Table, format_cell, format_fact, list_claim_facts
 from exact_mdp.mdp.result import data_frame, frame_to_table
 
 SURE = {
@@ -44,3 +44,12 @@ def test_a_bare_number_fails_wherever_it_is_shown(facts: dict[str, Any], form: s
 def test_a_bare_number_in_a_table_fails(table: Table) -> None:
     assert bare_numbers(Report(title="a new command", facts={}, tables={"states": table}))
     assert not bare_numbers(Report(title="a result (bounded)", facts={}, tables={"states": table}))
+
+
+def test_a_standard_error_has_two_digits_everywhere() -> None:
+    """In a cell, in a fact and as text; an estimate has as many places as its error."""
+    for error, digits, mean in ((121.04, "120", "1710"), (0.0163, "0.016", "1711.827")):
+        number = Estimated(value=1711.8273, standard_error=error)
+        assert format_cell(number) == f"{mean} ± {digits}"
+        assert format_fact(number) == f"{mean} (estimated, standard error {digits})"
+        assert str(number) == f"1711.83 ± {digits} s.e. (estimated)"

@@ -35,6 +35,16 @@ def test_an_interval_holds_the_number() -> None:
     assert high - 10 == pytest.approx(1.959964 * 2 + 1)
 
 
+def test_numbers_round_as_floats_do() -> None:
+    half = [Bounded(value=2.5, error=0.1), Estimated(value=2.5, standard_error=1.0)]
+    for number in (Certified(value=F(5, 2)), *half):
+        assert (round(number), round(number, 1)) == (2, 2.5)
+    third = Certified(value=F(10, 3))
+    assert (round(third, 3), f"{third:.3f}") == (3.333, "3.333")
+    with pytest.raises(OverflowError):
+        round(Certified(value=inf))
+
+
 def test_differences_are_exact_where_both_are_and_else_bounded() -> None:
     one, other = Certified(value=F(5, 3)), Certified(value=F(2, 3))
     assert one - other == Certified(value=F(1))
