@@ -74,9 +74,78 @@ def test_a_way_to_one_of_two_classes(exact: bool) -> None:
         value, error = slope_of(family, name, exact=exact)
         assert abs(value - slope) <= error
         assert error < F(1, 10**12)
-    assert evaluate(build({"t": t, "r": F(3)}), [0, 0, 0], criterion="average").mean == (
-        pytest.approx(float(3 * share + 1 - share))
-    )
+    mean = pytest.approx(float(3 * share + 1 - share))
+    assert evaluate(build({"t": t, "r": F(3)}), [0, 0, 0], criterion="average").mean == mean
+    assert float(gradient(family, criterion="average", exact=exact).start.value) == mean
+
+
+@EXACTLY
+@pytest.mark.parametrize("policy", ["optimal", [0, 0, 0]])
+def test_an_average_does_not_move_with_the_discount(exact: bool, policy: Any) -> None:
+    rows = [(0, 0, [("1/2", 0, 3), ("1/2", 1, 2)]), (1, 0, [(1, 2, 5)]), (2, 0, [(1, 1, 1)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    slope = gradient(mdp, criterion="average", policy=policy, names=["discount"], exact=exact)
+    found = slope["discount"].value
+    assert found is not None
+    assert abs(found.value) <= getattr(found, "error", 0)
+
+
+@EXACTLY
+def test_a_policy_may_be_silent_where_a_run_has_ended_nearby_too(exact: bool) -> None:
+    """State 2 is terminal at t = 0, and state 1 always; the run ends in either of them."""
+
+    def build(at: Any, start: int) -> MDP:
+        t = at["t"]
+        rows = [(0, 0, [("1/2", 0, 1 + t), ("1/2", 1, 1 + t)])]
+        rows += [(1, a, [(1, 1, 0)]) for a in range(2)]
+        return MDP.from_outcomes(rows + [(2, a, [(1, 2, a * t)]) for a in range(2)], start=start)
+
+    for start in (0, 1):
+        family = family_of(lambda at, start=start: build(at, start), t=0)
+        value, error = slope_of(family, "t", policy={"state 0": "0"}, exact=exact)
+        assert abs(value) <= error
+    with pytest.raises(ModelError, match="names no action"):
+        slope_of(family_of(lambda at: build(at, 2), t=0), "t", policy={"state 0": "0"}, exact=exact)
+
+
+def test_a_best_policy_may_lose_what_is_earned_once() -> None:
+    """max(1, t) at 1: beyond it, the way to t is best, which earns 5 less once."""
+
+    def build(at: Any) -> MDP:
+        rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 2, 0)])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, at["t"])])])
+
+    family = family_of(build, t=1)
+    assert slope_of(family, "t", -1) == (0, 0)
+    assert slope_of(family, "t", 1) == (1, 0)
+
+
+def test_biases_apart_from_each_other_give_no_derivative() -> None:
+    """States 1 and 2 earn 1 where they stay; with chance t the pair of state 1 goes to state 2.
+
+    Each of them may go to the other for nothing, so that both are in one end component. If state 2
+    earns nothing, the average is 1 / (1 + t).
+    """
+
+    def family(second: int) -> Family:
+        def build(at: Any) -> MDP:
+            t = at["t"]
+            stay = [(1 - t, 1, 1), (t, 2, 1)] if t else [(1, 1, 1)]
+            rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 2, 0)]), (1, 1, stay), (2, 0, [(1, 1, 0)])]
+            rows.append((2, 1, [(1, 2, second)]))
+            for state in (3, 4):  # the same again, without t
+                rows += [(state, 0, [(1, 7 - state, 0)]), (state, 1, [(1, state, 1)])]
+            return MDP.from_outcomes([*rows, (5, 0, [(1, 0, 0)])], start=0)
+
+        t = Parameter(name="t", value=0, low=0, high=1)
+        return Family(parameters=(t,), build=build, degrees={"t": 1})
+
+    for exact in (True, False):
+        with pytest.raises(ModelError, match="the average may jump") as refused:
+            slope_of(family(1), "t", exact=exact)
+        assert refused.value.where == "parameter t, state 1, action 1"
+        assert "leave it out (names=)" in refused.value.fix
+    assert slope_of(family(0), "t") == (-1, 0)
 
 
 def test_a_tie_has_a_derivative_on_each_side() -> None:
