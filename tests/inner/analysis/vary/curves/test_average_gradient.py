@@ -153,7 +153,7 @@ def test_a_tie_has_a_derivative_on_each_side() -> None:
 
     def build(at: Any) -> MDP:
         rows = [(0, 0, [(1, 1, 4)]), (0, 1, [(1, 1, 5)])]
-        rows += [(1, 0, [(1, 1, at["t"])]), (1, 1, [(1, 1, "1/2")])]
+        rows += [(1, 0, [(1, 1, at["t"])]), (1, 1, [(1, 1, "1/2")]), (2, 0, [(1, 1, 0)])]
         return MDP.from_outcomes(rows)
 
     family = family_of(build, t="1/2")
