@@ -109,15 +109,33 @@ def test_a_policy_may_be_silent_where_a_run_has_ended_nearby_too(exact: bool) ->
 
 
 def test_a_best_policy_may_lose_what_is_earned_once() -> None:
-    """max(1, t) at 1: beyond it, the way to t is best, which earns 5 less once."""
+    """max(1, t) at 1: beyond it, the way to t is best, which earns 5 or 1 less once."""
 
     def build(at: Any) -> MDP:
         rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 2, 0)])]
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, at["t"])])])
 
-    family = family_of(build, t=1)
-    assert slope_of(family, "t", -1) == (0, 0)
-    assert slope_of(family, "t", 1) == (1, 0)
+    def stay_or_go(at: Any) -> MDP:
+        rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, at["t"])])]
+        return MDP.from_outcomes(rows, start=0)
+
+    for family in (family_of(build, t=1), family_of(stay_or_go, t=1)):
+        assert slope_of(family, "t", -1) == (0, 0)
+        assert slope_of(family, "t", 1) == (1, 0)
+
+
+def test_the_way_from_one_best_class_to_another_may_cost_something_next_to_today() -> None:
+    """max(1, (1 - t) (1 + 2 t)) at 0: going there misses with chance t, and both earn alike."""
+
+    def build(at: Any) -> MDP:
+        t = at["t"]
+        go = [(1 - t, 1, 1), (t, 2, 1)] if t else [(1, 1, 1)]
+        rows = [(0, 0, [(1, 0, 1)]), (0, 1, go), (1, 0, [(1, 1, 1 + 2 * t)]), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, start=0)
+
+    parameters = (Parameter(name="t", value=0, low=0, high=1),)
+    family = Family(parameters=parameters, build=build, degrees={"t": 1})
+    assert slope_of(family, "t") == (1, 0)
 
 
 def test_biases_apart_from_each_other_give_no_derivative() -> None:
