@@ -398,4 +398,6 @@ def test_a_degree_that_was_tested_at_some_points_is_no_proof() -> None:
     for found, name, known in ((line, "discount", True), (FOUND, "x", False)):
         assert (found.checked is None) == known
         said = [*piece_violations(found.family, name, found.pieces, None, 1, proven=True)]
-        assert said == ["the degree of the rows was tested at some points, not proven"] * (not known)
+        assert said == ["the degree of the rows was tested at some points, not proven"] * (
+            not known
+        )
