@@ -25,7 +25,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from flint import fmpq_poly
 
 from exact_mdp.analysis.vary.curves.pair_slopes import (
     Pass,
@@ -40,7 +39,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import from_flint, to_flint
 from exact_mdp.mdp.graph import Mask, find_reachable_nodes, find_start_states
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.row_change import RowChange, to_flint_ratios, transition_entries
+from exact_mdp.mdp.parametric.row_change import RowChange, transition_entries
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, Numbers, to_common_denominator, to_integer_array
 from exact_mdp.solvers.arguments import require_average_applies
@@ -133,11 +132,6 @@ class NearbyGraph:
         )
 
 
-def _without_rate(change: RowChange) -> RowChange:
-    """Return a change of the rows alone: an average does not depend on the discount."""
-    return replace(change, rate=fmpq_poly())
-
-
 # ---- exactly -------------------------------------------------------------------------------------
 
 
@@ -166,15 +160,15 @@ def exact_average_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         if seen:
             for pair, weight in chain.exact_weights(state).items():
                 uses[pair] = to_flint(seen) * to_flint(weight)
-    row_keys, top, bottom = transition_entries(step)
-    rows = row_keys, np.array(to_flint_ratios(top, bottom), dtype=object)
+    # An average does not depend on the discount: no row moves with it.
+    rows = np.empty(0, dtype=np.int64), np.empty(0, dtype=object)
     flint_gain, flint_bias = (np.array([*map(to_flint, each)], object) for each in (gain, bias))
     best = None
     if certificate is not None:
         best = BestPolicies(step, certificate)
 
     def compute_slope(change: RowChange, sign: int) -> Certified:
-        moves = list_slopes(step, _without_rate(change), lambda x: x, rows)
+        moves = list_slopes(step, change, lambda x: x, rows)
         once = compute_pair_slopes(*moves[:2], moves[2][:0], moves[3][:0], flint_gain, step.n_pairs)
         each = compute_pair_slopes(*moves, flint_bias, step.n_pairs)
         nearby = NearbyGraph(step, change)
@@ -301,7 +295,7 @@ def bounded_average_pass(mdp: MDP, policy: PolicyLike) -> Pass:
             begun = find_newly_live_states(mdp, change) & held.reached & undecided
             refuse_silence(mdp, begun, change.name)
             nearby.require_same_classes(used)
-        moves = list_slopes(step, _without_rate(change), lambda x: float(from_flint(x)), rows)
+        moves = list_slopes(step, change, lambda x: float(from_flint(x)), rows)
         sizes = tuple(map(np.abs, moves))
 
         def combine(moved: tuple[Numbers, ...], bias: Floats, gain: Floats) -> Floats:

@@ -273,8 +273,9 @@ def test_gaps_and_faults_that_do_not_depend_on_the_parameter() -> None:
     mixed = [*policy[:3], [(3, to_flint(F(1, 2))), (4, to_flint(F(1, 2)))]]
     numbers, below = compute_policy_values(equations, mixed)
     assert [*equations.find_policy_faults(mixed, (numbers, below))] == []
-    for place in (3, 7):  # the relative value and the gain of state 3
-        wrong = [number + (place == k) for k, number in enumerate(numbers)]
+    # The relative value of state 3, its gain, and both, whose sum then still is right.
+    for moved in ({3: 1}, {7: 1}, {3: -1, 7: 1}):
+        wrong = [number + moved.get(k, 0) for k, number in enumerate(numbers)]
         assert [*equations.find_policy_faults(mixed, (wrong, below))] == [3]
 
 
@@ -294,8 +295,25 @@ def test_a_point_where_a_transition_vanishes_is_proven_or_not() -> None:
         rows = [(0, 0, moves), (0, 1, [(1, 2, 9)])]
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 3)]), (2, 0, [(1, 2, 4)])])
 
+    def with_better(at: dict[str, F]) -> MDP:
+        t = at["t"]
+        moves = [(1 - t, 1, 0), (t, 2, 0)] if 0 < t < 1 else [(1, 1 + int(t), 0)]
+        rows = [(0, 0, moves), (1, 0, [(1, 1, 3)]), (2, 0, [(1, 2, 4)])]
+        return MDP.from_outcomes([*rows, (3, 0, [(1, 1, 0)]), (3, 1, [(1, 2, 0)])])
+
+    def fading(at: dict[str, F]) -> MDP:
+        t = at["t"]
+        rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 6)]), (1, 0, [(1, 1, 2 - t)])]
+        rows += [(2, 0, [(1, 2, 1)]), (3, 0, [((1 + t) / 4, 1, 0), ((3 - t) / 4, 2, 0)])]
+        return MDP.from_outcomes(rows)
+
     assert faults(lambda at: forked(at, 5), [0, 2, 3]) == []
     assert faults(lambda at: forked(at, 6), [0, 2, 3]) == ["t = 0"]
     # Going to 1 or 2 by chance loses 1 - t of the gain of going to 2, and at t = 1 what that earns.
     assert faults(with_choice, [0, 2, 3]) == ["t = 0", "t = 1"]
     assert faults(with_choice, [1, 2, 3]) == []
+    # A pair of another state gains 1 everywhere: the gap is a constant below 0.
+    assert faults(with_better, [0, 1, 2, 3]) == ["t = 0", "t = 1"]
+    assert faults(with_better, [0, 1, 2, 4]) == []
+    # At t = 1 the second action keeps the gain and earns 6 more, but no transition vanishes there.
+    assert faults(fading, [0, 2, 3, 4]) == []

@@ -15,6 +15,7 @@ from exact_mdp.analysis.vary.curves import average_gradient
 from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.claims import Bounded, Certified, Claim
 from exact_mdp.solvers.values.average import evaluate_average
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 H = F(1, 10**15)
 EXACTLY = pytest.mark.parametrize("exact", [True, False])
@@ -74,9 +75,122 @@ def test_a_way_to_one_of_two_classes(exact: bool) -> None:
         value, error = slope_of(family, name, exact=exact)
         assert abs(value - slope) <= error
         assert error < F(1, 10**12)
-    assert evaluate(build({"t": t, "r": F(3)}), [0, 0, 0], criterion="average").mean == (
-        pytest.approx(float(3 * share + 1 - share))
+    mean = pytest.approx(float(3 * share + 1 - share))
+    assert evaluate(build({"t": t, "r": F(3)}), [0, 0, 0], criterion="average").mean == mean
+    assert float(gradient(family, criterion="average", exact=exact).start.value) == mean
+
+
+@EXACTLY
+@pytest.mark.parametrize("policy", ["optimal", [0, 0, 0]])
+def test_an_average_does_not_move_with_the_discount(exact: bool, policy: Any) -> None:
+    rows = [(0, 0, [("1/2", 0, 3), ("1/2", 1, 2)]), (1, 0, [(1, 2, 5)]), (2, 0, [(1, 1, 1)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    slope = gradient(mdp, criterion="average", policy=policy, names=["discount"], exact=exact)
+    found = slope["discount"].value
+    assert found is not None
+    assert abs(found.value) <= getattr(found, "error", 0)
+
+
+@EXACTLY
+def test_a_policy_may_be_silent_where_a_run_has_ended_nearby_too(exact: bool) -> None:
+    """State 2 is terminal at t = 0, and state 1 always; the run ends in either of them."""
+
+    def build(at: Any, start: int) -> MDP:
+        t = at["t"]
+        rows = [(0, 0, [("1/2", 0, 1 + t), ("1/2", 1, 1 + t)])]
+        rows += [(1, a, [(1, 1, 0)]) for a in range(2)]
+        return MDP.from_outcomes(rows + [(2, a, [(1, 2, a * t)]) for a in range(2)], start=start)
+
+    for start in (0, 1):
+        family = family_of(lambda at, start=start: build(at, start), t=0)
+        value, error = slope_of(family, "t", policy={"state 0": "0"}, exact=exact)
+        assert abs(value) <= error
+    with pytest.raises(ModelError, match="names no action"):
+        slope_of(family_of(lambda at: build(at, 2), t=0), "t", policy={"state 0": "0"}, exact=exact)
+
+
+def test_a_best_policy_may_lose_what_is_earned_once() -> None:
+    """max(1, t) at 1: beyond it, the way to t is best, which earns 5 or 1 less once."""
+
+    def build(at: Any) -> MDP:
+        rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 2, 0)])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, at["t"])])])
+
+    def stay_or_go(at: Any) -> MDP:
+        rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, at["t"])])]
+        return MDP.from_outcomes(rows, start=0)
+
+    for family in (family_of(build, t=1), family_of(stay_or_go, t=1)):
+        assert slope_of(family, "t", -1) == (0, 0)
+        assert slope_of(family, "t", 1) == (1, 0)
+        with pytest.raises(ModelError, match="several actions are optimal"):
+            slope_of(family, "t", exact=False)
+
+
+def test_classes_that_are_never_left_may_have_a_best_action_each() -> None:
+    """State 0 earns 1 or 0, and state 1 earns t = 2 or 3/2; a run begins in one of them."""
+
+    def build(at: Any) -> MDP:
+        rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 0, 0)])]
+        rows += [(1, 0, [(1, 1, at["t"])]), (1, 1, [(1, 1, "3/2")])]
+        return MDP.from_outcomes(rows, start={"state 0": "1/3", "state 1": "2/3"})
+
+    for exact in (True, False):
+        value, error = slope_of(family_of(build, t=2), "t", exact=exact)
+        assert abs(value - F(2, 3)) <= error + F(1, 10**30)
+
+
+@EXACTLY
+def test_a_reward_that_does_not_move_at_first_has_the_derivative_0(exact: bool) -> None:
+    family = Family(
+        parameters={"t": 0},
+        build=lambda at: MDP.from_outcomes([(0, 0, [(1, 0, at["t"] ** 2)])]),
+        degrees={"t": 2},
     )
+    value, error = slope_of(family, "t", exact=exact)
+    assert abs(value) <= error < 1
+
+
+def test_the_way_from_one_best_class_to_another_may_cost_something_next_to_today() -> None:
+    """max(1, (1 - t) (1 + 2 t)) at 0: going there misses with chance t, and both earn alike."""
+
+    def build(at: Any) -> MDP:
+        t = at["t"]
+        go = [(1 - t, 1, 1), (t, 2, 1)] if t else [(1, 1, 1)]
+        rows = [(0, 0, [(1, 0, 1)]), (0, 1, go), (1, 0, [(1, 1, 1 + 2 * t)]), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, start=0)
+
+    parameters = (Parameter(name="t", value=0, low=0, high=1),)
+    family = Family(parameters=parameters, build=build, degrees={"t": 1})
+    assert slope_of(family, "t") == (1, 0)
+
+
+def test_biases_apart_from_each_other_give_no_derivative() -> None:
+    """States 1 and 2 earn 1 where they stay; with chance t the pair of state 1 goes to state 2.
+
+    Each of them may go to the other for nothing, so that both are in one end component. If state 2
+    earns nothing, the average is 1 / (1 + t).
+    """
+
+    def family(second: int) -> Family:
+        def build(at: Any) -> MDP:
+            t = at["t"]
+            stay = [(1 - t, 1, 1), (t, 2, 1)] if t else [(1, 1, 1)]
+            rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 2, 0)]), (1, 1, stay), (2, 0, [(1, 1, 0)])]
+            rows.append((2, 1, [(1, 2, second)]))
+            for state in (3, 4):  # the same again, without t
+                rows += [(state, 0, [(1, 7 - state, 0)]), (state, 1, [(1, state, 1)])]
+            return MDP.from_outcomes([*rows, (5, 0, [(1, 0, 0)])], start=0)
+
+        t = Parameter(name="t", value=0, low=0, high=1)
+        return Family(parameters=(t,), build=build, degrees={"t": 1})
+
+    for exact in (True, False):
+        with pytest.raises(ModelError, match="the average may jump") as refused:
+            slope_of(family(1), "t", exact=exact)
+        assert refused.value.where == "parameter t, state 1, action 1"
+        assert "leave it out (names=)" in refused.value.fix
+    assert slope_of(family(0), "t") == (-1, 0)
 
 
 def test_a_tie_has_a_derivative_on_each_side() -> None:
@@ -84,7 +198,7 @@ def test_a_tie_has_a_derivative_on_each_side() -> None:
 
     def build(at: Any) -> MDP:
         rows = [(0, 0, [(1, 1, 4)]), (0, 1, [(1, 1, 5)])]
-        rows += [(1, 0, [(1, 1, at["t"])]), (1, 1, [(1, 1, "1/2")])]
+        rows += [(1, 0, [(1, 1, at["t"])]), (1, 1, [(1, 1, "1/2")]), (2, 0, [(1, 1, 0)])]
         return MDP.from_outcomes(rows)
 
     family = family_of(build, t="1/2")
@@ -249,6 +363,59 @@ def test_the_error_covers_what_the_values_are_off(policy: str, monkeypatch: Any)
             assert error <= least + 60 * off
             answered += 1
     assert answered > 30
+
+
+def rivals_of(mdp: MDP, policy: list[int], **moved: Any) -> list[bool]:
+    """Return the states in which another action may be as good, with other numbers and errors."""
+    chain = PolicyChain.of(mdp, policy)
+    found = replace(evaluate_average(chain), **{k: np.array(x) for k, x in moved.items()})
+    used = np.zeros(mdp.n_pairs, dtype=bool)
+    used[chain.pairs] = True
+    return average_gradient._find_rivals(found, used).tolist()
+
+
+def test_an_action_that_is_as_good_stays_a_rival_as_far_as_errors_go() -> None:
+    """Each number is as far off as its error says, all of them against the other action."""
+    # The other action of state 0 goes to state 1; both states earn 1, and so all gains are 1.
+    rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 1)])]
+    two = MDP.from_outcomes(rows)
+    assert rivals_of(two, [0, 0], value=[1.75, 0.5], error=[0.75, 0.5]) == [True, False]
+    assert rivals_of(two, [0, 0], value=[2.0, 0.5], error=[0.5, 0.25]) == [False, False]
+    # From state 0 to 1 or 2 and back, with 2 and 0 or 1 and 1: gain 1, biases 1/2, -1/2 and 1/2.
+    rows = [(0, 0, [(1, 1, 2)]), (0, 1, [(1, 2, 1)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 0, 1)])]
+    three = MDP.from_outcomes(rows)
+    value, error = [1.25, 1.0, 1.0], [0.25, 0.0, 0.0]
+    bias, doubt = [1.0, -0.5, 0.25], [0.5, 0.0, 0.25]
+    held = {"value": value, "error": error}
+    assert rivals_of(three, [0, 0, 0], **held, bias=bias, bias_error=doubt) == [True, False, False]
+    for k, less in (("bias_error", [0.25, 0, 0.25]), ("error", [0, 0, 0])):
+        moved = {**held, "bias": bias, "bias_error": doubt, k: less}
+        assert rivals_of(three, [0, 0, 0], **moved) == [False] * 3
+    nothing = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (0, 1, [(1, 0, 0)])])
+    still = {name: [0.0] for name in ("value", "error", "bias", "bias_error")}
+    assert rivals_of(nothing, [0], **still) == [True]
+
+
+def test_the_bound_counts_each_rounding(monkeypatch: Any) -> None:
+    """With a unit of 2^-20 and numbers that are exact, each rounding that is counted shows.
+
+    A use is a product with a weight of some roundings; c is a sum of a row of two products, and
+    the derivative one of two pairs.
+    """
+    off = 2.0**-20
+    monkeypatch.setattr(average_gradient, "gamma", lambda terms: terms * off)
+
+    def build(at: Any) -> MDP:
+        rewards = (at["t"], 0)
+        return MDP.from_outcomes(
+            [(s, 0, [("1/2", 0, r), ("1/2", 1, r)]) for s, r in enumerate(rewards)]
+        )
+
+    family, mdp = family_of(build, t=1), build({"t": 1})
+    value, error = slope_of(family, "t", policy=[0, 0], exact=False)
+    roundings = 4 + PolicyChain.of(mdp, [0, 0]).roundings + 2 * 2 + 2 + 8
+    assert value == F(1, 2)
+    assert roundings * F(off) / 2 <= error <= roundings * F(off) / 2 + F(1, 10**9)
 
 
 @EXACTLY

@@ -391,3 +391,13 @@ def test_the_value_of_a_piece_is_that_of_its_start() -> None:
         assert one.fixed.at(x) == wait / 2 + (x / 2 + F(9, 20) * wait) / F(11, 20) / 2
         assert one.value.at(x) == wait / 2 + (x / 2 + F(9, 20) * wait) / F(11, 20) / 2
     assert replace(one, fixed_values=None).fixed is None
+
+
+def test_a_degree_that_was_tested_at_some_points_is_no_proof() -> None:
+    line = curve(build({"x": F(1, 2)}), "discount", ("1/10", "4/5"))
+    for found, name, known in ((line, "discount", True), (FOUND, "x", False)):
+        assert (found.checked is None) == known
+        said = [*piece_violations(found.family, name, found.pieces, None, 1, proven=True)]
+        assert said == ["the degree of the rows was tested at some points, not proven"] * (
+            not known
+        )

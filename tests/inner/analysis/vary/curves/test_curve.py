@@ -239,6 +239,8 @@ def test_the_report_has_the_ends_values_and_actions_of_pieces() -> None:
     within = report.facts["within"]
     (kept,) = within.value
     assert (kept["from"], float(kept["to"])) == (F(1, 9), pytest.approx(13**0.5 / 6, abs=1e-11))
+    inner, outer = kept["to_bracket"]  # as wide as it may be, up to a factor of 2
+    assert F(1, 2 * 10**12) < outer - inner <= F(1, 10**12)
     assert within.text.startswith("the policy keeps the limit: 0.1111111111 to 0.600925212")
     assert "within" not in found.report().facts
     assert found.report([]).facts["within"].text.endswith("nowhere")
@@ -314,6 +316,7 @@ def test_a_discount_ends_next_to_1_where_there_are_no_values_at_1() -> None:
             curve(staying(False), "discount", (low, 1))
         assert curve(staying(True), "discount", (low, 1)).at(1) == 2
     assert curve(staying(True), "discount", ("1/4", 1)).range.high == 1
+    assert curve(staying(True), "discount").range.high == 1
     assert str(curve(staying(True), "discount", ("1/4", "3/4")).claim) == "certified"
     share = curve(staying(False), "discount", relative="1/10").range
     assert (share.low, share.high) == (F(9, 20), F(11, 20))
@@ -326,12 +329,12 @@ def test_a_discount_ends_next_to_1_where_there_are_no_values_at_1() -> None:
 def test_a_policy_says_what_it_does_where_that_matters() -> None:
     """In state 1 both actions are the same at x = 0 alone."""
 
-    def build(at: dict[str, F], share: F = F(1)) -> MDP:
+    def build(at: dict[str, F]) -> MDP:
         rows = [
             (0, 0, [(1, 1, 1)]),
             (0, 1, [(1, 2, 0)]),
             (1, 0, [(1, 2, at["x"])]),
-            (1, 1, [(1, 2, -share * at["x"])]),
+            (1, 1, [(1, 2, -at["x"])]),
             (2, 0, [(1, 2, 0)]),
         ]
         return MDP.from_outcomes(rows)
@@ -340,3 +343,44 @@ def test_a_policy_says_what_it_does_where_that_matters() -> None:
     found = curve(family, "x", (-1, 1), policy={0: 0, 1: 1})
     assert found.fixed_at("1/2") == F(1, 2)
     assert found.at("1/2") == F(3, 2)
+    for share in (0, 1):  # state 1 is terminal at x = 0 alone; with 0 both actions stay alike
+
+        def stay(at: dict[str, F], share: int = share) -> MDP:
+            earned = [at["x"] * (1 + share * a) for a in range(2)]
+            rows = [(1, a, [(1, 1, paid)]) for a, paid in enumerate(earned)]
+            return MDP.from_outcomes([(0, 0, [(1, 1, 1)]), *rows], "1/2", start=0)
+
+        family = Family(parameters={"x": 0}, build=stay)
+        if share:
+            with pytest.raises(ModelError, match="names no action") as refused:
+                curve(family, "x", (-1, 1), policy={"state 0": "0"})
+            assert refused.value.where == "state 1, for some x"
+        else:
+            assert curve(family, "x", (-1, 1), policy={"state 0": "0"}).fixed_at("1/2") == F(3, 2)
+
+
+def test_the_best_policy_of_today_is_that_of_the_criterion() -> None:
+    """Stay for 1 a step, or go to where a step earns x, 3/2 today: at discount 1/2 staying is best.
+
+    Values are max(2, x) in total, and max(1, x) on average.
+    """
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, at["x"])])]
+        return MDP.from_outcomes(rows, "1/2", start=0)
+
+    family = Family(parameters={"x": "3/2"}, build=build, degrees={"x": 1})
+    for criterion, best, fixed in (
+        ("total", [2, 2, 3], [2] * 3),
+        ("average", [1, 2, 3], [1, 2, 3]),
+    ):
+        found = curve(family, "x", (0, 3), policy="optimal", criterion=criterion)
+        assert found.violations() == []
+        assert [found.at(x) for x in (1, 2, 3)] == best
+        assert [found.fixed_at(x) for x in (1, 2, 3)] == fixed
+        assert found.criterion == criterion
+    assert ends(found) == [(1, 3)]
+    still = curve(family.at({}), "discount", (0, 1), criterion="average")
+    assert (still.range.high, still.at(1)) == (1, F(3, 2))
+    with pytest.raises(ModelError, match="has no horizon"):
+        curve(family.at({}).within(3), "discount", (0, 1), criterion="average")
