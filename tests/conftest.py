@@ -25,9 +25,13 @@ settings.load_profile("explore" if os.environ.get("EXPLORE") else "fixed")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Ignore that a scenario cuts off chances at 1; mdp/care/test_scenario.py tests the warning."""
+    """Ignore that a scenario cuts off chances at 1; mdp/care/test_scenario.py tests the warning.
+
+    And that Hypothesis does not see who holds its generator, which is frozen below.
+    """
     for item in items:
         item.add_marker(pytest.mark.filterwarnings("ignore::exact_mdp.ScenarioWarning"))
+        item.add_marker(pytest.mark.filterwarnings("ignore:It looks like .register_random"))
 
 
 def pytest_collection() -> None:

@@ -98,11 +98,11 @@ def solve_command(
     exact_start_value: the optimal value at the start, "p/q", null unless certified; unique: whether
     no other policy is optimal on the states reached, null unless certified; stationary: whether the
     optimum depends on the status alone; policy_by_state: action of each state, if there are no
-    statuses; gain: average reward per step, state by state; bias: advantage of a start in the state
-    beyond its gain; feasible: whether some policy keeps the limits; method: the algorithm;
-    iterations: sweeps or improvements; status: how the solver ended; limits: the limits, as they
-    were given; totals: what the policy attains of each limited total, "p/q"; regret_bound: greatest
-    loss of the policy.
+    statuses, null where even the best value is infinitely bad; gain: average reward per step, state
+    by state; bias: advantage of a start in the state beyond its gain; feasible: whether some policy
+    keeps the limits; method: the algorithm; iterations: sweeps or improvements; status: how the
+    solver ended; limits: the limits, as they were given; totals: what the policy attains of each
+    limited total, "p/q"; regret_bound: greatest loss of the policy.
     """
     mdp, average = given.mdp, given.criterion == "average"
     proof: Any
