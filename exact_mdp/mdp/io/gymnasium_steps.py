@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, shorten_text
-from exact_mdp.mdp.io.gymnasium_table import keep_random_state
+from exact_mdp.mdp.io.gymnasium_table import keep_random_state, read_random_state
 
 END = "end"
 MOST = 10_000  # states: each takes about 2 ms for each action
@@ -168,7 +168,7 @@ def _draws_after_seed(env: Any, seed: int) -> bool:
 
 def _save_generators(parts: Parts) -> bytes:
     """Return the states of all random number generators that an environment may use."""
-    states: list[Any] = [random.getstate(), np.random.get_state()]  # noqa: NPY002  (it may use it)
+    states: list[Any] = [*read_random_state()]
     for place, part in parts.items():
         if isinstance(part, GENERATORS):
             states.append((place, part.__reduce__()))

@@ -289,10 +289,15 @@ def _copy_environment(env: Any, base: Any) -> Any:
         return env
 
 
+def read_random_state() -> tuple[Any, Any]:
+    """Return the states of the global generators of Python and NumPy, which others may use."""
+    return random.getstate(), np.random.get_state()  # noqa: NPY002
+
+
 @contextmanager
 def keep_random_state() -> Iterator[None]:
     """Restore the state of the global random number generators afterwards."""
-    python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002  (others may use it)
+    python, numpy = read_random_state()
     try:
         yield
     finally:

@@ -302,8 +302,8 @@ class Operators:
         apart = abs(mdp.transition - (mixing @ mdp.transition)[state]) @ half
         others = (mixing @ moved)[state] - own * moved
         coupled = mdp.discount * (apart + (1 - own) * moved + others) * SLACK
-        # Rounding errors of the sums over actions.
-        size = np.maximum(np.abs(least), np.abs(most))
+        # Rounding errors of the sums over actions, and of their differences.
+        size = np.maximum(np.maximum(np.abs(least), np.abs(most)), moved)
         coupled += 8 * UNIT * (mdp.n_actions + 4) * ((mixing @ size)[state] + size)
         # From below, the pair itself at its least and the others of the state at their most.
         advantages = []

@@ -85,13 +85,18 @@ def test_waiting_for_ever_is_charged_to_those_who_wait() -> None:
     assert (only.cost, only.expected_visits) == (0, 0)
 
 
-def test_visits_are_found_in_rationals_where_floats_have_few_digits(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def small_regrets() -> tuple[PolicyChain, Any, Any, Any]:
+    """Return a chain, its regret exactly and in floats, and the visits that it is made of."""
     mdp = small_model(1, "1/2")
     chain = PolicyChain.of(mdp, given(random_policy(mdp, 1)))
     exact, bounded = (policy_regret(chain, exact=each) for each in (True, False))
-    wanted, _ = find_policy_disagreements(chain, exact)
+    return chain, exact, bounded, find_policy_disagreements(chain, exact)[0]
+
+
+def test_visits_are_found_in_rationals_where_floats_have_few_digits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    chain, exact, bounded, wanted = small_regrets()
 
     def unbounded(_: Any) -> Any:
         raise SolverError(Status.NO_BOUND)
@@ -105,13 +110,10 @@ def test_visits_are_found_in_rationals_where_floats_have_few_digits(
 def test_visits_in_floats_count_if_they_are_right_to_2_to_the_40(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    mdp = small_model(1, "1/2")
-    chain = PolicyChain.of(mdp, given(random_policy(mdp, 1)))
-    exact, bounded = (policy_regret(chain, exact=each) for each in (True, False))
-    wanted, _ = find_policy_disagreements(chain, exact)
+    chain, exact, bounded, wanted = small_regrets()
     near = wanted + np.where(wanted == wanted.max(), 2 - wanted.max(), 0.0)  # the greatest is 2
     for error, kept in ((2.0**-39, True), (2.0**-38.5, False)):
-        visits = BoundedVector(value=near, error=np.full(mdp.n_states, error))
+        visits = BoundedVector(value=near, error=np.full(len(near), error))
         monkeypatch.setattr(PolicyEquations, "visits", property(lambda _, visits=visits: visits))
         found = find_policy_disagreements(chain, exact)[0]
         assert found == pytest.approx(near if kept else wanted, rel=1e-14)

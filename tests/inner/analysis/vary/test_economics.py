@@ -474,9 +474,10 @@ def test_the_report_has_the_numbers_of_the_analysis() -> None:
 def test_a_price_is_one_finite_number_and_prices_are_a_list() -> None:
     analysis = random_analysis(0)
     assert (parse_price(3), parse_price("2.5")) == (3, 2.5)
-    for wrong in ([[1, 2]], [], "x", np.nan, np.inf, [1, np.inf], None):
+    prices: list[Any] = [[[1, 2]], [], "x", np.nan, np.inf, [1, np.inf], None]
+    for wrong in prices:
         with pytest.raises(ModelError, match="not a finite number"):
-            analysis.acceptability(wrong)  # type: ignore[arg-type]
+            analysis.acceptability(wrong)
     with pytest.raises(ModelError, match="several numbers"):
         parse_price([1, 2])
     with pytest.raises(ModelError, match="several numbers"):
@@ -539,9 +540,10 @@ def test_nothing_is_drawn_of_the_base_case() -> None:
 
 
 def test_strategies_have_names_and_components_are_those_of_the_model() -> None:
-    for wrong, said in (({}, "no strategy"), ([[0, 0]], "without names")):
+    lists: list[tuple[Any, str]] = [({}, "no strategy"), ([[0, 0]], "without names")]
+    for wrong, said in lists:
         with pytest.raises(ModelError, match=said):
-            cost_effectiveness(MODEL, wrong)  # type: ignore[arg-type]
+            cost_effectiveness(MODEL, wrong)
     with pytest.raises(ModelError, match="component"):
         cost_effectiveness(MODEL, POLICIES, effect="life")
     with pytest.raises(ModelError, match="component"):

@@ -6,7 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from inner.solvers.robust.test_improper import SIZE, Row, assert_same, set_of, under_nature
+from inner.solvers.robust.test_improper import (
+    SIZE,
+    Row,
+    assert_same,
+    draw_mixed_policy,
+    set_of,
+    under_nature,
+)
 from questions import oracle
 from questions.oracle import Problem
 
@@ -88,14 +95,8 @@ def test_a_policy_is_worth_what_nature_leaves_it(kind: str, nature: str) -> None
     for seed in range(20):
         rng = Random(f"policy {seed}")
         problem = random_problem(rng, returning=kind == "wide")
-        mdp, policy = model_of(problem), list[list[F]]()
-        for actions in problem.moves:
-            share = rng.choice((F(0), F(1), F(1, 2), F(1, 3)))
-            policy.append([share, 1 - share] if len(actions) == 2 else [F(1)])
-        mixed = {
-            s: {str(a): share for a, share in enumerate(shares) if share}
-            for s, shares in enumerate(policy)
-        }
+        mdp = model_of(problem)
+        policy, mixed = draw_mixed_policy(problem, rng)
         asked = {"nature": nature, "policy": mixed, "criterion": "average"}
         found = solve_robust(mdp, set_of(mdp, kind), **asked)
         wanted = under_nature(problem, kind, nature, policy)

@@ -48,6 +48,19 @@ def vertices(row: Row, kind: str) -> Iterator[Row]:
                     yield [(q, to, r) for q, (_, to, r) in zip(moved, row, strict=True)]
 
 
+def draw_mixed_policy(problem: Problem, rng: Random) -> tuple[list[list[F]], dict[int, Any]]:
+    """Return the probability of each action, by number and by name."""
+    policy = list[list[F]]()
+    for actions in problem.moves:
+        share = rng.choice((F(0), F(1), F(1, 2), F(1, 3)))
+        policy.append([share, 1 - share] if len(actions) == 2 else [F(1)])
+    mixed = {
+        s: {str(a): share for a, share in enumerate(shares) if share}
+        for s, shares in enumerate(policy)
+    }
+    return policy, mixed
+
+
 def random_problem(rng: Random) -> Problem:
     """Return a problem of three states and an end, with or without a goal."""
     moves = list[list[Row]]()
@@ -161,14 +174,8 @@ def test_a_policy_is_worth_what_nature_leaves_it(kind: str, nature: str) -> None
     for seed in range(16):
         rng = Random(f"policy {seed}")
         problem = random_problem(rng)
-        mdp, policy = model_of(problem, SIZE - 1), list[list[F]]()
-        for actions in problem.moves:
-            share = rng.choice((F(0), F(1), F(1, 2), F(1, 3)))
-            policy.append([share, 1 - share] if len(actions) == 2 else [F(1)])
-        mixed = {
-            s: {str(a): share for a, share in enumerate(shares) if share}
-            for s, shares in enumerate(policy)
-        }
+        mdp = model_of(problem, SIZE - 1)
+        policy, mixed = draw_mixed_policy(problem, rng)
         try:
             found = solve_robust(mdp, set_of(mdp, kind), nature=nature, policy=mixed)
         except (ModelError, SolverError):
