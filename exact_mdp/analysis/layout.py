@@ -132,7 +132,7 @@ def arrange(
         columns=tuple(map(", ".join, product(*(labels[name] for name in across)))),
         down=", ".join(below) or "-",
         across=", ".join(across) or "-",
-        signs=_choose_arrows(model, *last),
+        signs=_choose_arrows(model, *last, timed=TIME in (*below, *across)),
         held=", ".join(f"{name} {value}" for name, value in at.items()),
     )
 
@@ -253,15 +253,18 @@ def _compute_drift(model: MDP, values: Sequence[Integers]) -> Floats:
     return np.array([np.bincount(action, each, model.n_actions) for each in weighted])
 
 
-def _choose_arrows(model: MDP, row: Integers, column: Integers) -> dict[str, str]:
-    """Return a sign for each action: an arrow only if its moves go that way more than sideways."""
+def _choose_arrows(model: MDP, row: Integers, column: Integers, *, timed: bool) -> dict[str, str]:
+    """Return a sign for each action: an arrow only if its moves go that way more than sideways.
+
+    In a map of times, in which all moves go on by one, words stand for arrows.
+    """
     right, down = _compute_drift(model, [column, row])
     ways = {"←": (-right, down), "↓": (down, right), "→": (right, down), "↑": (-down, right)}
     signs = choose_symbols(model.actions)
     for number, (action, sign) in enumerate(signs.items()):
         if sign in ways:
             ahead, aside = (float(each[number]) for each in ways[sign])
-            if (ahead or aside) and ahead <= abs(aside):
+            if timed or ((ahead or aside) and ahead <= abs(aside)):
                 signs[action] = action
     return signs
 

@@ -224,3 +224,9 @@ def test_a_horizon_has_a_row_for_each_state_and_a_column_for_each_time() -> None
     assert wrong == {(each.state % 16, each.state // 16) for each in audit.disagreements}
     assert labels(audit.plot(time=0)) == ([*"0123"], [*"0123"])
     assert labels(audit.plot(down="time", across=["row", "column"]))[0] == [*"01234"]
+    # All moves go on by one in time, which is not the way of an arrow.
+    words, arrows = (
+        {*"←↓→↑"} & {*"".join(texts(each).values())} for each in (ax, audit.plot(time=0))
+    )
+    assert not words
+    assert "↓" in arrows
