@@ -7,7 +7,8 @@ change it starts a copy of itself (fork), in which the functions of the module g
 there the tests run that come to the line, the file beside the module first, then the quickest of
 the room as long as their time is not up, until one fails. A change of what is run when a module is
 loaded (a constant, a default) makes the copy load everything again. What no test notices is written
-to left.toml, where a person says why: of a change with a reason the room is not asked again.
+to left.toml, where a person says why: of a change with a reason the room is not asked again. After
+tests were written, --listed tries the changes in that list alone.
 """
 
 import ast
@@ -100,10 +101,11 @@ class Mutants:
     """Runs the tests of changed modules in place of pytest's own loop."""
 
     def __init__(
-        self, modules: list[Path], *, only_beside: bool, workers: int, every: int, verbose: bool
-    ) -> None:
+        self, modules: list[Path], *, only_beside: bool, only_listed: bool, workers: int,
+        every: int, verbose: bool,
+    ) -> None:  # fmt: skip
         self.modules, self.only_beside, self.workers = modules, only_beside, workers
-        self.every, self.verbose = every, verbose
+        self.only_listed, self.every, self.verbose = only_listed, every, verbose
         self.items = dict[str, pytest.Item]()
         self.results = {module: Result() for module in modules}
         self.reasons = {module: reasons(module) for module in modules}
@@ -124,6 +126,9 @@ class Mutants:
             gc.collect()
             gc.freeze()  # so that copies share the memory
             for change in islice(changes(tree), 0, None, self.every):
+                if self.only_listed and change.key not in self.reasons[module]:
+                    self.results[module].fates[BESIDE] += 1
+                    continue
                 code = compile(tree, str(module), "exec")
                 while len(running) >= self.workers:
                     finish()
@@ -133,6 +138,11 @@ class Mutants:
                     self.in_copy(module, change, code, known, functions)
         while running:
             finish()
+        if self.only_listed:
+            for module, result in self.results.items():
+                room = section_of(module).get(ROOM, 0)  # noticed there before, counted above
+                result.fates += Counter({ROOM: room})
+                result.fates -= Counter({BESIDE: room})
         return True
 
     def note(self, module: Path, change: Change, status: int) -> None:
@@ -306,16 +316,25 @@ def table(results: dict[Path, Result], only_beside: bool) -> str:
     return "\n".join(lines)
 
 
+def sections() -> dict[str, Any]:
+    """Return what the list says, by module."""
+    return tomllib.loads(LIST.read_text("utf-8")) if LIST.exists() else {}
+
+
+def section_of(module: Path) -> dict[str, Any]:
+    """Return what the list says of a module."""
+    section: dict[str, Any] = sections().get(module.relative_to(PACKAGE).as_posix(), {})
+    return section
+
+
 def reasons(module: Path) -> dict[tuple[str, ...], str]:
     """Return why no test notices changes of a module, as the list says."""
-    known: dict[str, Any] = tomllib.loads(LIST.read_text("utf-8")) if LIST.exists() else {}
-    left = known.get(module.relative_to(PACKAGE).as_posix(), {}).get(LEFT, ())
-    return {tuple(each[:3]): each[3] for each in left}
+    return {tuple(each[:3]): each[3] for each in section_of(module).get(LEFT, ())}
 
 
 def write_list(results: dict[Path, Result]) -> None:
     """Write what is left of these modules into the list; reasons given before stay."""
-    known: dict[str, Any] = tomllib.loads(LIST.read_text("utf-8")) if LIST.exists() else {}
+    known = sections()
     for module, result in results.items():
         name, fates = module.relative_to(PACKAGE).as_posix(), result.fates
         why = reasons(module)
@@ -342,13 +361,17 @@ def write_list(results: dict[Path, Result]) -> None:
 
 @click.command()
 @click.argument("paths", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
-@click.option("--beside", "only_beside", is_flag=True, help="Run the files beside alone; no list.")
+@click.option(
+    "--beside", "only_beside", is_flag=True, help="Only the files beside: all else is left."
+)
+@click.option("--listed", "only_listed", is_flag=True, help="Only the changes in the list.")
 @click.option("--workers", default=2, show_default=True, help="Copies at a time.")
 @click.option("--every", default=1, show_default=True, help="Only each n-th change; no list.")
 @click.option("--verbose", is_flag=True, help="Show each change that no file beside notices.")
 def main(
-    paths: tuple[Path, ...], only_beside: bool, workers: int, every: int, verbose: bool
-) -> None:
+    paths: tuple[Path, ...], only_beside: bool, only_listed: bool, workers: int, every: int,
+    verbose: bool,
+) -> None:  # fmt: skip
     """Change modules, or all of a folder, in one place at a time, and say what tests notice."""
     os.chdir(ROOT)
     files = [file for path in paths for file in ([path] if path.is_file() else path.rglob("*.py"))]
@@ -360,11 +383,11 @@ def main(
         raise click.UsageError(
             f"no tests beside: {beside(modules[0]).relative_to(ROOT)} is missing"
         )
-    how: dict[str, Any] = {"workers": workers, "every": every, "verbose": verbose}
-    mutants = Mutants(modules, only_beside=only_beside, **how)
+    which: dict[str, Any] = {"only_beside": only_beside, "only_listed": only_listed, "every": every}
+    mutants = Mutants(modules, **which, workers=workers, verbose=verbose)
     pytest.main([*OPTIONS, *sorted(map(str, tests))], plugins=[mutants])
     print(table(mutants.results, only_beside))
-    if not only_beside and every == 1:
+    if every == 1:
         write_list(mutants.results)
 
 
