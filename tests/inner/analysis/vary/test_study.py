@@ -755,6 +755,8 @@ def test_values_are_finite_unless_infinite_ones_are_asked_for() -> None:
     assert solver.solve_draws(draws)["start"].tolist() == [1, np.inf]
     assert solver.evaluate_policies(draws, [stay])["value"][:, 0].tolist() == [-np.inf, np.inf]
     endless = Family(parameters={"x": 3}, build=build)
+    one = endless.at({})
+    refused(_Drawn(one, None, [one]).solve_models, "the optimum is infinite, so")
     for usual in (solver_of(endless, ["x"]), ModelSolver(endless, ["x"])):
         where = "=the total at discount 1, today's parameters"
         refused(lambda usual=usual: usual.solution, "the optimum is infinite, so", where)
