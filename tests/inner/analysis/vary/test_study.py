@@ -528,6 +528,14 @@ def test_gaps_of_averages_are_as_uncertain_as_gain_and_bias(
             assert abs(F(got) - exact) <= F(most)
 
 
+def test_where_no_gain_is_given_up_a_pair_loses_what_it_earns_less_at_first() -> None:
+    rows = [(0, 0, [(1, 1, 2)]), (0, 1, [(1, 1, -1)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    _, _, (gap,), (doubt,), _ = _Drawn(mdp, None, [mdp], criterion="average").solve_models()
+    assert gap.tolist() == [0, 3, 0]
+    assert doubt.max() < 1e-12
+
+
 def test_models_are_solved_one_by_one_if_they_cannot_be_solved_together(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -641,9 +649,12 @@ def test_draws_of_a_care_scenario_are_as_its_models() -> None:
     assert mine["value"] == pytest.approx(theirs["value"], rel=1e-12)
     assert mine["error"].shape == (2, 1)
     assert mine["value"][0, 0] == pytest.approx(one["start"][0])
-    # The only action of a last trial is no choice.
-    each = fast.describe_policy(fast.hold_policy("always:none"))
-    assert each == dict.fromkeys(fast.labels, "none")
+    # What is done is told of states with a choice: at the end, and in a skip, there is none.
+    own = parametric(scenario.scenario.with_(readings={"skip_timestep": "own"}))
+    for solver in (fast, solver_of(own, [name])):
+        for action in solver.mdp.actions[:4]:
+            told = solver.describe_policy(solver.hold_policy(f"always:{action}"))
+            assert told == dict.fromkeys(solver.labels, action)
     statuses = len(scenario.scenario.statuses)
     assert fast.labels == tuple("".join(bits) for bits in product("01", repeat=statuses))
     space = fast.mdp.space
