@@ -90,7 +90,7 @@ class Given:
     reward : NAME, optional
         The component of the reward that counts; all together unless given.
     allowed : LABEL, optional
-        Reach it through states of this label only.
+        With --reach: only along states with this label.
     minimize : bool
         Minimise: rewards are costs. For a probability, ask for the least.
     maximize : bool

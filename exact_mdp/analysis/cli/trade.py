@@ -76,7 +76,7 @@ def rationalize_command(given: Given, policy: Policy) -> Report:
     Keys
     ----
     Of Rationalization.
-    change: the least such relative change, "p/q".
+    change: the least relative change of the weights, "p/q".
     """
     found = exact_mdp.rationalize(given.mdp, policy, criterion=given.criterion)
     return given.complete_report(found.report())
@@ -234,7 +234,7 @@ def perception_command(
     perception : FILE, optional
         A file: {formats:PERCEPTIONS}.
     accuracy : X, optional
-        Each status is read correctly with this probability instead.
+        Instead of a file: the probability with which each status is perceived correctly.
     policy : POLICY
         The policy that takes the perceived status for true.
 

@@ -102,7 +102,7 @@ class FromGymnasium(FromFunction):
 
         Notes
         -----
-        Custom environments and wrappers are tried for some hundred steps, with fixed seeds, in a
+        Custom environments and wrappers are tried for a few hundred steps, with fixed seeds, in a
         copy; an environment that cannot be copied is itself reset and stepped.
 
         Returns
