@@ -348,9 +348,9 @@ def robust_command(
 
     Keys
     ----
-    set_kind: what may move; radius: how far a row may move; nature: who chooses the
-    probabilities, and when; worst_case: optimal value in the worst case, with its policy, or for `box`, the value of
-    the fixed policy at the worst point found, `point`; best_case: the optimal value in the best
+    set_kind: what may move; radius: how far a row may move; nature: who chooses the probabilities,
+    and when; worst_case: optimal value in the worst case, with its policy, or for `box`, the value
+    of the fixed policy at the worst point found, `point`; best_case: the optimal value in the best
     case; worst_case_gain: gain of the robust policy in the worst case; robust_policy_value: value
     of the robust policy if the tables are right; price_of_robustness: loss of the robust policy if
     the tables are right (like the gain, null if both values are infinite); policy_changes: states
