@@ -586,7 +586,8 @@ class ModelSolver:
         models, at = [], partial(self._describe_draw, draws, first)
         for d, row in enumerate(draws.tolist()):
             try:
-                with locate_errors(at(d)), annotate_errors(at(d)):
+                where = at(d)
+                with locate_errors(where), annotate_errors(where):
                     models.append(self.model.at(dict(zip(self.names, row, strict=True))))
                     check_alike(self.mdp, models[-1], start=len(self.mdp.start) == 1)
             except DistributionError as error:
