@@ -82,7 +82,6 @@ def fit_beta(low: float, high: float) -> Numbers:
 
 def _find_root(function: Callable[[float], float], low: float, high: float) -> float:
     """Return where a function changes its sign; NaN if it does not in this range."""
-    ends = function(low), function(high)
-    if math.isnan(ends[0] * ends[1]) or ends[0] * ends[1] > 0:
+    if not function(low) * function(high) <= 0:  # the product may be NaN
         return math.nan
     return float(brentq(function, low, high, xtol=1e-14, rtol=1e-14))

@@ -1,12 +1,14 @@
 """The fitted distributions have these quantiles by another library, wherever they exist."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from exact_mdp.analysis.vary.interval_fits import (
+    _find_root,
     fit_beta,
     fit_gamma,
     fit_lognormal,
@@ -58,7 +60,32 @@ def test_a_negative_gamma_is_mirrored() -> None:
 @pytest.mark.parametrize(
     ("fit", "ends"),
     [(fit_lognormal, (0, 1)), (fit_gamma, (-1, 1)), (fit_gamma, (0, 1)), (fit_beta, (0, 0.5)),
-     (fit_beta, (0.5, 1)), (fit_beta, (0.5, 0.5 + 1e-9)), (fit_gamma, (1, 1 + 1e-9))],
+     (fit_gamma, (-1, 0)), (fit_beta, (0.5, 1)), (fit_beta, (0, 1)), (fit_beta, (0.5, 1.5)),
+     (fit_beta, (0.5, 0.5)), (fit_beta, (0.5, 0.5 + 1e-9)), (fit_gamma, (1, 1 + 1e-9))],
 )  # fmt: skip
 def test_there_is_none_elsewhere(fit, ends) -> None:
     assert not all(map(math.isfinite, fit(*ends)))
+
+
+@pytest.mark.parametrize(("size", "found"), [(0.99e12, True), (1.01e12, False)])
+def test_shapes_and_sizes_are_at_most_a_million_million(size: float, found: bool) -> None:
+    for fit, law in (
+        (fit_gamma, stats.gamma(size)),
+        (fit_beta, stats.beta(0.3 * size, 0.7 * size)),
+    ):
+        low, high = law.ppf([0.025, 0.975])
+        assert all(map(math.isfinite, fit(low, high))) == found
+
+
+def test_a_root_is_found_to_14_digits_and_nowhere_but_where_the_sign_changes() -> None:
+    cases: list[tuple[Callable[[float], float], float]] = [
+        (lambda x: x, 0.0), (lambda x: x - 10, 10.0), (lambda x: math.exp(x) - 5, math.log(5)),
+        (lambda x: 3 - x, 3.0),
+    ]  # fmt: skip
+    for function, root in cases:
+        assert abs(_find_root(function, 0.0, 10.0) - root) <= 1e-14 * max(1, root)
+    without: list[Callable[[float], float]] = [
+        lambda x: x + 0.01, lambda x: -1 - x, lambda x: math.nan, lambda x: math.inf,
+        lambda x: math.nan if x > 1 else x,
+    ]  # fmt: skip
+    assert all(math.isnan(_find_root(function, 0.0, 10.0)) for function in without)

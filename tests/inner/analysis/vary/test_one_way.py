@@ -1,12 +1,14 @@
 """Tornadoes, value curves and maps of two parameters, against enumeration of all policies."""
 
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from typing import Any
 
+import numpy as np
 import pytest
 
-from exact_mdp import MDP, Family, ModelError, Parameter, one_way, tornado, two_way
+from exact_mdp import MDP, Family, ModelError, Parameter, moving, one_way, tornado, two_way
 from exact_mdp.analysis.vary.one_way import make_grid
 from exact_mdp.analysis.vary.ranges import Range
 
@@ -88,6 +90,15 @@ def test_bars_have_the_values_at_both_ends(sense: str, held: tuple[int, int]) ->
     assert facts["policy_value"].value == today["fixed"].value
     assert facts["regret"].value == today["regret"].value
     assert len(tables["held"].rows) == (3 if lost else 0)
+    ends = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
+    for key, policy, what in (
+        ("bars", "re-optimised; regret of the policy held fixed", "value"),
+        ("held", "held fixed", "fixed_value"),
+    ):
+        assert tables[key].title == f"start value at both ends, policy {policy}"
+        assert tables[key].columns == ends | {
+            "at low": f"{what}_low:.6g", "at high": f"{what}_high:.6g", "regret": "regret:.3g"
+        }  # fmt: skip
     if lost:
         swings = found.frame("fixed_swing")["parameter"].tolist()
         assert tables["held"].rows["parameter"].tolist() == swings
@@ -118,13 +129,104 @@ def test_a_tornado_of_two_policies_has_the_differences_of_their_values(sense: st
     assert frame[alone.frame().columns].equals(alone.frame().set_index("parameter").loc[order]
                                                .reset_index()[alone.frame().columns])  # fmt: skip
     assert found.report().facts["difference"].value == today.value
-    assert found.report().tables["apart"].rows["parameter"].tolist() == order
+    table = found.report().tables["apart"]
+    assert table.rows["parameter"].tolist() == order
+    title = "start value at both ends, policy held fixed, less the value of the other"
+    assert (table.title, table.columns["at low"]) == (title, "difference_low:.6g")
     assert "difference" not in alone.report().facts
     ax = found.plot()
     assert ax.lines[0].get_xdata()[0] == today.value
     assert "less the other" in ax.get_xlabel()
     with pytest.raises(ModelError, match="output"):
         alone.plot(output="difference")
+
+
+def test_a_difference_is_as_uncertain_as_both_values_and_its_own_rounding() -> None:
+    found = tornado(model_of("max"), ranges=SPANS, policy=[0, 2, 0], against=[1, 2, 0])
+    errors = 2.0 ** -np.arange(40, 40 + found.table.error.size).reshape(found.table.error.shape)
+    for apart in (-3.0, 2.0**10):
+        fixed = np.full(found.table.fixed.shape, 1.0)
+        fixed[0] += [apart, 0]
+        table = replace(found.table, fixed=fixed, error=errors)
+        today = replace(found, table=table).today["difference"]
+        unit = F(1, 2**53) * abs(F(apart))
+        least = F(errors[0, 1]) + F(errors[0, 2]) + unit
+        assert today.value == apart
+        assert least <= F(today.error) <= least * (1 + F(1, 2**19))
+        # No more than the rounding, without an error of the values.
+        exact = replace(found, table=replace(table, error=np.zeros_like(errors)))
+        assert unit < F(exact.today["difference"].error) <= unit * (1 + F(1, 2**19))
+
+
+def test_bars_of_one_length_keep_the_order_of_the_parameters() -> None:
+    names = [f"x{k:02}" for k in range(40)]
+
+    def build(at: Any) -> MDP:
+        prize = sum(at.values()) + at["x20"]
+        return MDP.from_outcomes([(0, 0, [(1, 1, prize)]), (1, 0, [(1, 1, 0)])])
+
+    found = tornado(Family(parameters=dict.fromkeys(names, 1), build=build), relative="1/2")
+    order = ["x20", *names[:20], *names[21:]]
+    assert found.frame()["parameter"].tolist() == order
+
+
+def machine(sense: str) -> Any:
+    """Earns 4 a step and goes on with chance f, or 3 and goes on with chance 9/10; else a rest."""
+    sign = 1 if sense == "max" else -1
+    rows: list[Any] = [(0, 0, [("1/2", 0, 4 * sign), ("1/2", 1, 4 * sign)]),
+                       (0, 1, [("9/10", 0, 3 * sign), ("1/10", 1, 3 * sign)]),
+                       (1, 0, [(1, 0, 0)])]  # fmt: skip
+    # At a discount of 1/2 the first action is the better one, also today.
+    mdp = MDP.from_outcomes(rows, discount="1/2", sense=sense)
+    return moving(mdp, {"f": [(0, 0)], "g": [(1, 0)]})
+
+
+@SENSES
+def test_rewards_per_step_are_those_of_a_machine_and_its_rests(sense: str) -> None:
+    """What is earned in a step of work, over the steps that it takes with its rest."""
+    sign, model = (1 if sense == "max" else -1), machine(sense)
+    first, second = (lambda f: 4 / (2 - f)), (lambda g: 3 / (2 - g))
+    bars = tornado(model, criterion="average")
+    assert {p.name for p in bars.spans} == {"f", "g"}  # no average depends on the discount
+    assert [p.name for p in tornado(model, names=["discount"], criterion="average").spans] == [
+        "discount"
+    ]
+    ranges = {"discount": ("1/4", "3/4")}
+    assert [p.name for p in tornado(model, ranges=ranges, criterion="average").spans] == [
+        "discount"
+    ]
+    assert {p.name for p in tornado(model).spans} == {"f", "g", "discount"}
+    today = bars.today
+    wanted = [sign * second(0.9), sign * second(0.9), 0]
+    assert [each.value for each in today.values()] == pytest.approx(wanted, abs=1e-9)
+    row = bars.frame().set_index("parameter").loc["f"]
+    columns = ["value_low", "value_high", "fixed_value_low", "fixed_value_high", "regret"]
+    best = first(0.6)
+    numbers = sign * second(0.9), sign * best, sign * second(0.9), sign * second(0.9)
+    assert row[columns].tolist() == pytest.approx([*numbers, best - second(0.9)])
+    assert bars.report().tables["bars"].title.startswith("average reward at both ends, policy")
+
+    curve = one_way(model, "f", (0, 1), criterion="average", points=3)
+    grid = two_way(model, "f", "g", ranges={"f": (0, 1), "g": (0, 1)}, points=3,
+                   criterion="average")  # fmt: skip
+    at = [0, 0.5, 1]
+    assert curve.frame()["value"].tolist() == pytest.approx(
+        [sign * max(first(f), second(0.9)) for f in at]
+    )
+    assert grid.frame()["value"].tolist() == pytest.approx(
+        [sign * max(first(f), second(g)) for g in at for f in at]
+    )
+    assert grid.frame()["fixed_value"].tolist() == pytest.approx(
+        [sign * second(g) for g in at for f in at]
+    )
+    values = {"re-optimised": "value:.6g", "policy held fixed": "fixed_value:.6g",
+              "its regret": "regret:.3g"}  # fmt: skip
+    for each, names in ((curve, {"f": "at:.6g"}),
+                        (grid, {"f": "x:.6g", "g": "y:.6g", "policy": "policy"})):  # fmt: skip
+        (table,) = each.report().shown_tables()
+        assert table.title == "average reward at the start"
+        assert table.columns == names | values
+        assert each.report().facts["criterion"].value == "average"
 
 
 def test_a_tornado_is_of_the_parameters_asked_for() -> None:
@@ -212,6 +314,11 @@ def test_policies_that_differ_where_a_state_is_reached_are_two() -> None:
     assert len({*found.policy.ravel().tolist()}) == 2
     assert found.list_actions(int(found.policy[0, 1])) == {"state 0": "0", "state 1": "0"}
     assert found.list_actions(int(found.policy[0, 0])) == {"state 0": "0", "state 1": "1"}
+    # Two actions of state 1 where it is reached and two where it is not are three policies.
+    every = two_way(model_of("max"), "z", "x", ranges=ranges | {"x": (0, 3)}, points=2)
+    assert every.choices[:, :, :2].tolist() == [[[1, 1], [1, 0]], [[0, 1], [0, 0]]]
+    assert every.policy.tolist() == [[0, 0], [1, 2]]
+    assert every.list_actions(1) == {"state 0": "0", "state 1": "1"}
     unreached = two_way(model_of("max"), "z", "x", ranges=ranges | {"x": (0, 1)}, points=2)
     assert unreached.choices[0, :, 1].tolist() == [1, 0]
     assert unreached.policy.tolist() == [[0, 0], [0, 0]]

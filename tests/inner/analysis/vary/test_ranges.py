@@ -1,12 +1,29 @@
 """The ranges of parameters, exact, and where a model admits them."""
 
+import os
+from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from refusal_tables import refused
 
-from exact_mdp import MDP, Family, ModelError, Parameter, Scenario, moving, parametric
+from exact_mdp import (
+    MDP,
+    Family,
+    ModelError,
+    Parameter,
+    Scenario,
+    moving,
+    one_way,
+    parametric,
+    sobol,
+    tornado,
+    two_way,
+    worst_point,
+)
 from exact_mdp.analysis.vary.ranges import (
     RELATIVE,
     Range,
@@ -62,9 +79,10 @@ def test_the_whole_is_all_that_a_parameter_may_be() -> None:
     assert ends(make_range_around(parameter(3), "whole")) == (0, 6)
     assert 5 * RELATIVE == 1
     assert ends(make_range_around(parameter(10))) == (8, 12)
-    for wrong in (0, -1, "-1/5", "all", 10**400):
+    for wrong in (0, -1, "-1/5", "all", 10**300, 10**400):
         with pytest.raises(ModelError, match="relative"):
             make_range_around(parameter(3), wrong)
+    assert ends(make_range_around(parameter(1), 10**300 - 1)) == (2 - 10**300, 10**300)
     assert ends(make_range_around(parameter(1), F(1, 10**9))) == (1 - F(1, 10**9), 1 + F(1, 10**9))
     assert ends(make_range_around(parameter(1), 1)) == (0, 2)
 
@@ -72,8 +90,8 @@ def test_the_whole_is_all_that_a_parameter_may_be() -> None:
 def test_a_range_keeps_its_ends_exact_and_in_order() -> None:
     assert ends(Range(low="1/3", high=0.5)) == (F(1, 3), F(1, 2))
     assert ends(Range(low=2, high=2)) == (2, 2)
-    with pytest.raises(ModelError, match="is empty"):
-        Range(low=2, high=1)
+    said = "=the range from 2 to 1 is empty", "=range", "=put the smaller number first"
+    refused(lambda: Range(low=2, high=1), *said)
 
 
 # ---- what a model admits -------------------------------------------------------------------------
@@ -173,13 +191,21 @@ def test_stated_ranges_are_pairs_within_what_may_be() -> None:
     }  # fmt: skip
     assert read_ranges(MODEL, found) is found
     assert read_ranges(MODEL, None) == read_ranges(MODEL, {}) == Ranges()
-    wrong: list[Any] = [
-        {"p": (0, 2)}, {"p": (-1, 1)}, {"p": (1, 1)}, {"p": (1, 0)}, {"p": 1}, {"p": (1, 2, 3)},
-        {"p": (0,)}, {"p": "01"}, {"p": (0, "x")}, {"unknown": (0, 1)}, [("p", 0, 1)],
+    pair = "range of p"
+    wrong: list[tuple[Any, str, str, str]] = [
+        ({"p": (0, 2)}, "=p is 2, outside [0, 1]", pair, "choose a value"),
+        ({"p": (-1, 1)}, "=p is -1, outside [0, 1]", pair, "choose a value"),
+        ({"p": (1, 1)}, "=the range from 1 to 1 is empty", pair, "give two different numbers"),
+        ({"p": (1, 0)}, "=the range from 1 to 0 is empty", pair, "put the smaller number first"),
+        *(({"p": each}, "=not a pair of numbers", pair, "give low and high")
+          for each in (1, (1, 2, 3), (0,), "01")),
+        ({"p": (0, "x")}, "='x' is not a finite rational number", pair, "write 0.1"),
+        ({"unknown": (0, 1)}, "=unknown parameter 'unknown'", "model", "choose one of p, zero"),
+        ([("p", 0, 1)], "=[('p', 0, 1)] is of type list", "ranges",
+         "give {name: (low, high)}, or a .toml file"),
     ]  # fmt: skip
-    for ranges in wrong:
-        with pytest.raises(ModelError):
-            read_ranges(MODEL, ranges)
+    for ranges, what, where, fix in wrong:
+        refused(partial(read_ranges, MODEL, ranges), what, f"={where}", fix)
 
 
 def test_a_file_states_ranges_by_dotted_names(tmp_path: Path) -> None:
@@ -192,6 +218,11 @@ def test_a_file_states_ranges_by_dotted_names(tmp_path: Path) -> None:
         file.write_text(text)
         with pytest.raises(ModelError, match=r"ranges\.toml"):
             read_ranges(MODEL, file)
+    file.write_text("")
+    refused(partial(read_ranges, MODEL, file), "=no range in the file", f"={file}",
+            'write "NAME" = [low, high]')  # fmt: skip
+    os.truncate(file, 2**24 + 1)
+    refused(partial(read_ranges, MODEL, file), "more than the 16,777,216 bytes", f"={file}")
     table = {"a": 1, "b": {"c": 2, "d": {"e": [3]}}, "f": {}}
     assert [*flatten_entries(table)] == [("", "a", 1), ("b", "c", 2), ("b.d", "e", [3])]
 
@@ -213,8 +244,24 @@ def test_ranges_are_stated_or_around_today() -> None:
     assert ends(range_of(MODEL, "p", Range(low=0, high=1))) == (0, 1)
     assert ends(range_of(MODEL, "p", {"p": (0, "1/2"), "zero": (0, 1)})) == (0, F(1, 2))
     assert ends(range_of(MODEL, "p", None, "1/2")) == (F(1, 4), F(3, 4))
-    with pytest.raises(ModelError, match="has one point"):
-        range_of(MODEL, "zero")
+    for model, name, said in (
+        (MODEL, "zero", "0: a share of 0 is 0"),
+        (point_family(1), "x", "1: no other value has a model with finite values"),
+    ):
+        fix = f'=give it one: ranges={{"{name}": (low, high)}}, --range {name}=LOW:HIGH'
+        what = f"=the range of {name} has one point, {said}"
+        refused(partial(range_of, model, name), what, "=model", fix)
+
+
+def point_family(value: int) -> Family:
+    """A model that exists at today's value alone."""
+
+    def build(at: Any) -> MDP:
+        if at["x"] != value:
+            raise ModelError("x", where="x", fix="x")
+        return MODEL.build(at)
+
+    return Family(parameters=(parameter(value),), build=build)
 
 
 @pytest.mark.parametrize(
@@ -237,10 +284,32 @@ def test_a_plain_number_below_1_that_is_varied_beyond_may_be_a_probability(
     model = Family(parameters=(given,), build=MODEL.build)
     ranges_of(model)
     assert (len(recwarn) == 1) == told
+    if told:
+        assert str(recwarn[0].message) == (
+            "x, 0.9 today, is varied up to 1.08; if it is a utility or a probability, state "
+            'Parameter(name="x", value=…, low=0, high=1), else its range'
+        )
     recwarn.clear()
     ranges_of(model, None, None, "1/4")  # who says a share knows
     ranges_of(model, None, {"x": (given.value / 2, given.value)} if given.value > 0 else None)
     assert len(recwarn) == 0
+
+
+@pytest.mark.parametrize(
+    "analyse",
+    [
+        partial(one_way, name="x", points=2),
+        partial(two_way, x="x", y="y", points=2),
+        partial(tornado, names=["x"]),
+        partial(sobol, names=["x"], n=2),
+        worst_point,
+    ],
+)
+def test_a_warning_is_of_the_line_that_asks_for_an_analysis(
+    analyse: Callable[[Family], object], recwarn: pytest.WarningsRecorder
+) -> None:
+    analyse(Family(parameters=(parameter("9/10"), parameter(2, name="y")), build=MODEL.build))
+    assert [each.filename for each in recwarn] == [__file__]
 
 
 def test_what_varies_together_has_a_range_and_is_not_the_discount() -> None:
@@ -256,5 +325,5 @@ def test_what_varies_together_has_a_range_and_is_not_the_discount() -> None:
     assert of(None, {"discount": ("1/2", "3/4")}) == {"discount": (F(1, 2), F(3, 4))}
     assert of(["zero", "p"], {"zero": (0, 1)}) == {"zero": (0, 1), "p": (F(2, 5), F(3, 5))}
     assert of(["zero", "p"], None, "1/2") == {"p": (F(1, 4), F(3, 4))}
-    with pytest.raises(ModelError, match="no parameter has a range"):
-        spans_of(MODEL, ["zero"])
+    call = partial(spans_of, MODEL, ["zero"])
+    refused(call, "=no parameter has a range", "=model", "=state a range")

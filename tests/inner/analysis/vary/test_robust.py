@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusal_tables import refused
 from scipy.optimize import brentq
 
-from exact_mdp import MDP, Family, ModelError, Parameter, robust, worst_point
+from exact_mdp import MDP, Family, Parameter, Scenario, parametric, robust, worst_point
 from exact_mdp.solvers.claims import Claim
 from exact_mdp.solvers.robust.sets import L1Ball
 
@@ -123,16 +124,67 @@ def test_what_is_done_in_states_that_nobody_reaches_is_no_change() -> None:
     assert robust(mdp, policy=[1, 1, 0, 0]).changed.tolist() == [0, 1]
     mixed = robust(mdp, policy=[1, 0, 0, 0])
     assert mixed.changed.tolist() == [0]
+    # The robust policy leads on, and the one that is held stays: both count.
+    rows[0] = (0, 0, [(1, 3, "1/8")])
+    assert robust(MDP.from_outcomes(rows, discount="1/2"), policy=[0, 1, 0, 0]).changed[1] == 1
 
 
 def test_a_set_has_a_name_and_a_radius_or_is_given_whole() -> None:
     mdp = wagers()
     given = robust(mdp, L1Ball(radius="1/4"))
     assert given.worst == robust(mdp, "l1", radius=0.25).worst
-    with pytest.raises(ModelError, match="a radius, and a set"):
-        robust(mdp, L1Ball(radius="1/4"), radius=1)
-    with pytest.raises(ModelError, match="set"):
-        robust(mdp, "l2")
+    fix = '=name the set, as in robust(model, "l1", radius=0.1), or leave out the radius'
+    what = "=a radius, and a set that has its own"
+    refused(lambda: robust(mdp, L1Ball(radius="1/4"), radius=1), what, "=radius", fix)
+    refused(lambda: robust(mdp, "l2"), "=unknown set 'l2'", "=robust", "l1")
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+@pytest.mark.parametrize(
+    ("actions", "held", "cases"),
+    [  # what one may earn each step for ever, or 3 at once; the value held and the best worst case
+        ("-+3", 0, (-inf, inf)), ("-+3", 1, None), ("-+3", 2, (3, inf)),
+        ("-3", 0, (-inf, 3)), ("-", 0, None),
+    ],
+)  # fmt: skip
+def test_values_may_be_infinite_and_their_differences_with_them(
+    actions: str, held: int, cases: tuple[float, float] | None, sense: str
+) -> None:
+    sign = 1 if sense == "max" else -1
+    outcomes = {"-": (1, 0, -sign), "+": (1, 0, sign), "3": (1, 1, 3 * sign)}
+    rows: list[Any] = [(0, a, [outcomes[each]]) for a, each in enumerate(actions)]
+    found = robust(MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], sense=sense), policy=[held, 0])
+    if cases is None:
+        assert (found.price, found.gain) == (None, None)
+        assert json.loads(found.report().json())["price_of_robustness"] is None
+    else:
+        numbers = found.value, found.worst, found.robust_value, found.robust.start
+        wanted = pytest.approx([sign * case for case in cases for _ in range(2)])
+        assert [number.value for number in numbers] == wanted
+        assert (found.price.value, found.gain.value) == (-inf, inf)
+        assert (found.price.error, found.gain.error) == (0, 0)
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_rewards_per_step_have_cases_too(sense: str) -> None:
+    """A machine earns r a step, and fails with chance f for a step: r / (1 + f)."""
+    sign = 1 if sense == "max" else -1
+    rows: list[Any] = [(0, 0, [("1/2", 0, 4 * sign), ("1/2", 1, 4 * sign)]),
+                       (0, 1, [("9/10", 0, 3 * sign), ("1/10", 1, 3 * sign)]),
+                       (1, 0, [(1, 0, 0)])]  # fmt: skip
+    # At a discount of 1/2 the first action is the better one.
+    mdp = MDP.from_outcomes(rows, discount="1/2", sense=sense)
+    nominal, least, most = (4 / 1.5, 3 / 1.1), (4 / 1.6, 3 / 1.12), (4 / 1.4, 3 / 1.08)
+    for held, own in (([0, 0], 0), ("optimal", 1)):
+        found = robust(mdp, policy=held, criterion="average")
+        for number, wanted in (
+            (found.value, nominal[own]), (found.worst, least[own]), (found.best, most[own]),
+            (found.robust.start, least[1]), (found.optimistic.start, most[0]),
+            (found.robust_value, nominal[1]), (found.robust_best, most[1]),
+        ):  # fmt: skip
+            assert number.value == pytest.approx(sign * wanted, abs=1e-9)
+        assert found.report().tables["values"].title == "average reward at the start"
+        assert json.loads(found.report().json())["criterion"] == "average"
 
 
 # ---- one choice for all states -------------------------------------------------------------------
@@ -210,6 +262,9 @@ def test_the_corner_is_one_that_no_flip_of_one_parameter_makes_worse(name: str, 
     assert facts["value"] == pytest.approx(found.value.value)
     assert facts["point"] == {n: float(at) for n, at in point.items()}
     assert facts["optimum"] == found.optimum
+    table = found.report().tables["point"]
+    assert table.title == f"the worst of {corners} corners"
+    assert table.values() == [[n, float(at)] for n, at in point.items()]
     assert found.claim is Claim.ESTIMATED
 
 
@@ -270,3 +325,24 @@ def test_a_value_may_be_infinite_at_the_worst_corner(sense: str) -> None:
     assert (found.value.value, found.point["y"]) == (pytest.approx(2 * sign), F(1, 2))
     whole = worst_point(forever(sense, 0), [0, 0], {"x": ranges["x"]})
     assert (whole.value.value, whole.optimum.value) == (sign * inf, sign * inf)
+
+
+def test_a_warning_names_the_line_and_the_ends_of_the_ranges(
+    recwarn: pytest.WarningsRecorder,
+) -> None:
+    number = Parameter(name="x", value="9/10")
+    worst_point(Family(parameters=(number,), build=lambda at: wagers()))
+    (said,) = recwarn
+    assert (said.filename, "varied up to 1.08" in str(said.message)) == (__file__, True)
+    recwarn.clear()
+    scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    ranges = {"base.anger": ("1/100", "99/100")}
+    worst_point(scenario, "always:none", ranges)
+    (said,) = recwarn
+    where = " at the upper ends of the ranges: a chance of "
+    assert (said.filename, where in str(said.message)) == (__file__, True)
+    recwarn.clear()
+    asked = parametric(scenario).with_question(lambda mdp: mdp)  # whose models warn by themselves
+    worst_point(asked, "always:none", ranges)
+    (said,) = recwarn
+    assert " where base.anger is 0.99: a chance of " in str(said.message)
