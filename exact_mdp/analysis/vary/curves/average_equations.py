@@ -175,6 +175,7 @@ class AverageEquations(SectionEquations):
 
     def format_place(self, place: Root) -> str:
         """Return a point in words."""
+        place = place.narrow_to_width(Fraction(1, 10**12))
         if place.low == place.high:
             return f"{self.change.name} = {format_rational(place.low)}"
         return f"{self.change.name} ≈ {float((place.low + place.high) / 2):.6g}"

@@ -92,6 +92,18 @@ def test_an_average_does_not_move_with_the_discount(exact: bool, policy: Any) ->
 
 
 @EXACTLY
+@pytest.mark.parametrize("policy", ["optimal", [0, 0]])
+def test_a_discount_may_move_with_the_chances(exact: bool, policy: Any) -> None:
+    """g = q / (t + q) at discount t."""
+
+    def build(at: Any) -> MDP:
+        return two_states({"p": at["t"], "q": F(1, 5), "r": 1}).with_(discount=at["t"])
+
+    value, error = slope_of(family_of(build, t="1/3"), "t", exact=exact, policy=policy)
+    assert abs(value + F(1, 5) / F(8, 15) ** 2) <= error < F(1, 10**12)
+
+
+@EXACTLY
 def test_a_policy_may_be_silent_where_a_run_has_ended_nearby_too(exact: bool) -> None:
     """State 2 is terminal at t = 0, and state 1 always; the run ends in either of them."""
 
@@ -110,10 +122,10 @@ def test_a_policy_may_be_silent_where_a_run_has_ended_nearby_too(exact: bool) ->
 
 
 def test_a_best_policy_may_lose_what_is_earned_once() -> None:
-    """max(1, t) at 1: beyond it, the way to t is best, which earns 5 or 1 less once."""
+    """max(1, t) at 1: beyond it, the way to t is best, which earns 6 or 1 less once."""
 
     def build(at: Any) -> MDP:
-        rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 2, 0)])]
+        rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 2, -1)])]
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, at["t"])])])
 
     def stay_or_go(at: Any) -> MDP:
@@ -394,6 +406,20 @@ def test_an_action_that_is_as_good_stays_a_rival_as_far_as_errors_go() -> None:
     nothing = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (0, 1, [(1, 0, 0)])])
     still = {name: [0.0] for name in ("value", "error", "bias", "bias_error")}
     assert rivals_of(nothing, [0], **still) == [True]
+
+
+def test_a_loss_of_bias_is_larger_than_the_roundings_of_two_terms(monkeypatch: Any) -> None:
+    """By its other action state 0 loses δ, or 1 - δ with its gain of 1: 4 2^-20 is in doubt.
+
+    Here a unit is 2^-20, two of which count, of 2 in all. State 1, apart, earns 9.
+    """
+    off = 2.0**-20
+    monkeypatch.setattr(average_gradient, "gamma", lambda terms: terms * off)
+    for lost, rival in ((3.9 * off, True), (4.1 * off, False)):
+        mdp = MDP.from_outcomes(
+            [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 0, 1 - lost)]), (1, 0, [(1, 1, 9)])]
+        )
+        assert rivals_of(mdp, [0, 0]) == [rival, False]
 
 
 def test_the_bound_counts_each_rounding(monkeypatch: Any) -> None:
