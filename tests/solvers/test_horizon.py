@@ -16,6 +16,7 @@ from exact_mdp import (
     Policy,
     certify,
     check,
+    cohort_trace,
     evaluate,
     fingerprint,
     load,
@@ -110,6 +111,16 @@ def test_without_a_step_a_value_is_the_terminal_one_and_home_is_where_one_is() -
     assert simulate(begun, "random", 5, 0, horizon=0).returns.tolist() == [1] * 5
     assert check(begun, "random", horizon=0).passed
     assert simulate(mdp, "random", 5, 0, horizon=0).truncated == 5
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2])
+def test_a_horizon_is_called_by_its_number_of_steps_with_a_terminal_value_or_not(
+    steps: int,
+) -> None:
+    for end in (None, [3, -1, 2]):
+        asked = walk().within(steps, terminal_value=end)
+        assert f", horizon {steps}, start" in str(check(asked, "random"))
+        assert len(cohort_trace(asked, "random").frame()) == steps + 1
 
 
 def test_a_probability_earns_no_terminal_value(tmp_path: Path) -> None:

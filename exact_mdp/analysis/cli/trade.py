@@ -135,9 +135,6 @@ def ce_command(
     if not named:
         fix = "write --strategy usual=always:none --strategy new=FILE"
         raise ModelError("there is no strategy", where="--strategy", fix=fix)
-    if len(named) < len(strategies):
-        fix = "give each strategy a name of its own"
-        raise ModelError("two strategies have one name", where="--strategy", fix=fix)
     held = {name: given.policy_from(form) for name, form in named.items()}
     if reference is not None:
         require_known_name(reference, held, "strategy", "--reference")

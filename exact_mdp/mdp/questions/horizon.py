@@ -256,6 +256,15 @@ def split_by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
     return by_step
 
 
+def count_steps(model: Any) -> int:
+    """Return after how many steps episodes stop; the one that earns values after 0 is none."""
+    origin = origin_of(model)
+    for question in origin.questions if origin is not None else ():
+        if question.method == "within":
+            return int(question.options["steps"])
+    return int(model.space.columns[0].size) - 1
+
+
 def repeats_in_time(model: Any) -> bool:
     """Return whether a model without origin looks like the result of `within`.
 

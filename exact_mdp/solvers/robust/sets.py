@@ -16,7 +16,8 @@ Mathematics of Operations Research 30, 2005).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -246,6 +247,15 @@ def radius_of(given: object, what: str) -> float:
         fix = "choose one from 0 up, no larger than a float can be"
         raise ModelError(f"{what} of {format_rational(number)}", where="radius", fix=fix)
     return float(number)
+
+
+@contextmanager
+def advise_on_sets() -> Iterator[None]:
+    """Make a SolverError say what helps with sets of rows."""
+    try:
+        yield
+    except SolverError as error:
+        raise SolverError(error.status.with_sets, error.detail) from error
 
 
 # ---- rows side by side ---------------------------------------------------------------------------

@@ -43,6 +43,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, first_of
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.claims import Claim
+from exact_mdp.solvers.robust.sets import advise_on_sets
 
 Sides = Floats  # (2, S) bounds from below and from above
 
@@ -92,6 +93,7 @@ class Robust:
             claim=Claim.BOUNDED,
         )
 
+    @advise_on_sets()
     def bounds(self, mdp: MDP, own: Floats, doubt: float) -> RobustBounds:
         """Return bounds that hold unless some row lies outside its set, of probability `doubt`."""
         sets, returns = RowSets.of(mdp, doubt, self.rewards), parse_range(self.returns, "returns")
