@@ -111,12 +111,12 @@ def estimate_evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> Par
     apart, astray = value - lower.value, promised - own.value
     # The limits, in standard errors, were chosen so that the intervals cover as the module's head
     # says; no estimate depends on them. Values are known up to the tolerance of the solvers.
-    sure, doubts = own.standard_error, []
-    if (sure > 0 and abs(apart) > sure) or lower.value < value / 2:
+    sure, noise, doubts = own.standard_error, RELATIVE_TOLERANCE * value, []
+    if abs(apart) > max(sure, noise) or lower.value < value / 2:
         doubts.append("the fit's choices earn less or more in draws that it has not seen")
-    if sure > 0 and abs(astray) > 0.5 * sure:
+    if abs(astray) > max(0.5 * sure, noise):
         doubts.append("the fit promises less or more than its choices earn")
-    if surprising and missed > max(0.1 * sure, RELATIVE_TOLERANCE * value):
+    if surprising and missed > max(0.1 * sure, noise):
         doubts.append("the fit misses a pattern along a parameter")
     if carried.few:
         doubts.append(f"few draws carry it: {carried.carried:.0f}")

@@ -490,7 +490,7 @@ def psa(
     draws = StudyDraws(solver, points, solver.block, key, how)
     table = draws.with_policies(draws.run_study(()), [weights for _, weights in given])
     picked, table = _select_policies(draws, table, given)
-    counts = np.bincount(table.which, minlength=len(table.rows))
+    counts = np.bincount(table.which)  # each of the rows occurs
     return PSA(
         model=family.name,
         start=solver.solution.start,
@@ -532,7 +532,7 @@ def _select_policies(
 
     # The pool: optima of draws with losses, without the policies given.
     left = compute_losses()
-    by_loss = np.bincount(which, weights=left, minlength=len(rows))
+    by_loss = np.bincount(which, weights=left)
     known = np.any([_match_policies(draws, table, weights) for _, weights in given], axis=0)
     pool = np.argsort(-by_loss, kind="stable")[:POOL]
     pool = pool[(by_loss[pool] > 0) & ~known[pool]]
@@ -546,7 +546,7 @@ def _select_policies(
     for count in range(1, 7):
         best = (sign * table.fixed[some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)
-        by_loss = np.bincount(which, weights=compute_losses(), minlength=len(rows))
+        by_loss = np.bincount(which, weights=compute_losses())
         gains = np.maximum(seen, by_loss[pool])
         number = int(gains.argmax())
         if gains[number] <= 0.01 * total:

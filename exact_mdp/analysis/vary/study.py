@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from hashlib import sha256
-from math import inf, isinf
+from math import isinf
 from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
@@ -365,8 +365,8 @@ class _Drawn:
             solution = solve(mdp)
         here, ahead = solution.value[mdp.pair_state], mdp.backup(solution.value)
         # States may have infinite values although the start has not; a pair that may lead to both
-        # infinities has the value -∞.
-        ahead[np.isnan(ahead)] = -inf
+        # infinities has the worst value.
+        ahead[np.isnan(ahead)] = mdp.sense.worst
         lost = mdp.sense.losses(here, ahead)
         finite = np.where(np.isinf(solution.value), 0.0, solution.value)
         noise = compute_advantages(mdp, finite).noise

@@ -1,8 +1,10 @@
 """Distributions by their moments and their draws, against those of scipy; and what is drawn."""
 
 import math
+import os
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -12,6 +14,7 @@ import pandas as pd
 import pytest
 from model_contents import negated
 from numpy.random import SeedSequence
+from refusal_tables import refused
 from scipy import stats
 from scipy_laws import SCIPY_LAWS
 
@@ -206,6 +209,41 @@ def test_jointly_normal_parameters_have_their_moments_and_every_sum_its_law(kind
         assert stats.kstest(drawn @ weights, law.cdf).pvalue > 1e-3
 
 
+def test_jointly_normal_draws_are_a_factor_of_the_covariance_times_a_stream() -> None:
+    part = Uncertain.of_joint("all", ["a", "b", "c"], "normal", [1, -2, 0.5], COVARIANCE)
+    rng = np.random.default_rng(SeedSequence(7, spawn_key=(crc32(b"a b c"),)))
+    wanted = [1, -2, 0.5] + rng.standard_normal((9, 3)) @ np.linalg.cholesky(COVARIANCE).T
+    assert part.draw(SeedSequence(7), 9) == pytest.approx(wanted, rel=1e-12)
+    two = Uncertain.of_joint("fit", ["a", "b"], "normal", [1, 2], [[4, 1], [1, 9]])
+    assert two.size is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "mean", "covariance", "what", "fix"),
+    [
+        ("normal", [1, 2, 3], [[1, 0, 0.5], [0, 1, 0], [0.25, 0, 1]], "two covariances of a and c",
+         "give a symmetric covariance"),
+        ("normal", [1, 2, 3], [[1, 0, 0], [0, math.nan, 0], [0, 0, 1]], "not a variance",
+         "give a symmetric covariance"),
+        ("normal", [1, 2], [[1, 0], [0, 1]],
+         "means of shape (2,), and a covariance of shape (2, 2)",
+         "give 3 means, and 3 rows of 3 numbers"),
+        ("normal", [1, 2, 3], [[1, 2, 0], [2, 1, 0], [0, 0, 1]],
+         "the covariance is not positive definite",
+         "correct it; if one parameter follows from the others, leave it out, and let the function "
+         "that builds the model compute it"),
+        ("lognormal", [1e3, 2, 3], np.eye(3), "a mean or sd is infinite", "give smaller numbers"),
+        ("lognormal", [-750, 2, 3], np.diag([1500, 1, 1]), "a mean or sd is infinite",
+         "give smaller numbers"),  # a mean of 1
+    ],
+)  # fmt: skip
+def test_a_covariance_is_that_of_a_law(
+    kind: str, mean: Any, covariance: Any, what: str, fix: str
+) -> None:
+    call = partial(Uncertain.of_joint, "all", ["a", "b", "c"], kind, mean, covariance)
+    refused(call, f"={what}", "=distribution of all", f"={fix}")
+
+
 def test_several_parameters_are_stated_by_name_and_covariance(tmp_path: Path) -> None:
     several = Family(
         parameters={"x": 3, "y": 5},
@@ -222,8 +260,10 @@ def test_several_parameters_are_stated_by_name_and_covariance(tmp_path: Path) ->
     logs = settings | {"distribution": "lognormal", "meanlog": [0, 1]}
     assert uncertainty(several, {"fit": logs}).parts[0].numbers == (0, 1, 4, 1, 1, 9)
     # The sum, which the model earns, has the variance 4 + 2 + 9.
-    table = psa(several, 4000, uncertain={"fit": settings}, rng=3).table
-    assert abs(table.optimal.var(ddof=1) - 15) < 5 * 15 * (2 / 3999) ** 0.5
+    table = psa(several, 40, uncertain={"fit": settings}, rng=3).table
+    assert table.optimal == pytest.approx(table.points.sum(axis=1))
+    sums = uncertainty(several, {"fit": settings}).draw(SeedSequence(3), 4000).sum(axis=1)
+    assert abs(sums.var(ddof=1) - 15) < 5 * 15 * (2 / 3999) ** 0.5
     limited = replace(
         several, parameters=(Parameter(name="x", value=3, low=0), several.parameters[1])
     )
@@ -444,8 +484,26 @@ def test_a_file_states_distributions_and_the_size_of_the_rest(tmp_path: Path) ->
         file.write_text(text)
         with pytest.raises(ModelError, match=r"uncertain\.toml"):
             uncertainty(MODEL, file)
-    with pytest.raises(ModelError, match="table"):
-        uncertainty(MODEL, tmp_path / "draws.CSV")
+    size = f"{SIZE} = 50"
+    cases = [
+        ("p = 0.25", "=p = 0.25", f"={file}",
+         f'=psa takes distributions: write "p" = {{{size}}}'),
+        ("", "=nothing is stated in the file", f"={file}", f'=write "NAME" = {{{size}}}'),
+        (f"[default]\n{SIZE} = 40\nsd = 3", f"=[default] states more than {SIZE}",
+         f"={file}, default", "=state the rest for each parameter"),
+        (f"[default]\n{SIZE} = 'x'", "='x' is not a finite rational number",
+         f"=parameter default, {SIZE}", OF_NUMBER),
+    ]  # fmt: skip
+    for text, *said in cases:
+        file.write_text(text)
+        refused(partial(uncertainty, MODEL, file), *said)
+    os.truncate(file, 2**24 + 1)
+    refused(partial(uncertainty, MODEL, file), "more than the 16,777,216 bytes", f"={file}")
+    fix = "=in Python give a sample as a pandas.DataFrame: a column for each parameter, a row for "
+    fix += "each draw"
+    what = "=a table is not a file of distributions, which ends in .toml"
+    draws = tmp_path / "draws.CSV"
+    refused(lambda: uncertainty(MODEL, draws), what, f"={draws}", fix)
 
 
 def test_a_sample_of_ones_own_has_its_moments() -> None:
@@ -469,26 +527,70 @@ def test_a_sample_of_ones_own_has_its_moments() -> None:
         uncertainty(MODEL, [1, 2])
 
 
-REFUSED: list[dict[str, object]] = [
-    {"p": 3},
-    {"p": {"se": 1}},
-    {"p": {"sdd": 1}},
-    {"p": {"fixed": 1}},
-    {"p": {"fixed": True, "sd": 1}},
-    {"p": {"distribution": "exponential"}},
-    {"p": {"distribution": "bet"}},
-    {"p": {"distribution": 3}},
-    {"p": {"sd": "x"}},
-    {"p": {"sd": math.inf}},
-    {"p": {"alpha": [1, 2]}},
-]
+BOTH = {"names": ["weight", "debt"], "covariance": [[1, 0], [0, 1]]}
+OF_NUMBER = '=write 0.1 or "1/10"'
+ALONE = '=write names = ["a", "b"] and covariance = [[…, …], […, …]]'
+REFUSED: list[tuple[str, object, str, str, str]] = [
+    ("p", 3, "=3 is stated", "=parameter p",
+     '=state a distribution: {"distribution": "beta", "mean": 0.1, "sd": 0.02}; or give a sample '
+     "as a pandas.DataFrame: a column for each parameter, a row for each draw"),
+    ("p", {"se": 1}, "=a beta with mean = 0.15, sd = 1", "=distribution of p", "an sd that is"),
+    ("p", {"sdd": 1}, "=unknown setting 'sdd'", "=parameter p", "=did you mean sd?"),
+    ("p", {"xyz": 1}, "=unknown setting 'xyz'", "=parameter p",
+     f"=choose one of {', '.join(SETTINGS)}"),
+    ("p", {"sem": 1}, "=unknown setting 'sem'", "=parameter p",
+     "=state sd, or se: the standard error of an estimate"),
+    ("p", {"fixed": 1}, "=fixed is 1", "=parameter p", "=write fixed = true, or leave it out"),
+    ("p", {"fixed": True, "sd": 1}, "=fixed, and a distribution", "=parameter p",
+     "=state one of the two"),
+    ("p", {"distribution": "exponential"}, "=unknown distribution 'exponential'", "=parameter p",
+     '=state a "gamma" of shape 1'),
+    ("p", {"distribution": "bet"}, "=unknown distribution 'bet'", "=parameter p",
+     "=did you mean beta?"),
+    ("p", {"distribution": 3}, "=unknown distribution 3", "=parameter p", "choose one of beta"),
+    ("p", {"sd": "x"}, "='x' is not a finite rational number", "=parameter p, sd", OF_NUMBER),
+    ("p", {"sd": math.inf}, "=standard deviation inf", "=distribution of p",
+     "=choose a number above 0, from 1.5e-10 to 150"),
+    ("p", {"alpha": [1, 2]}, "=[1, 2] is not a number", "=parameter p, alpha", "write a number"),
+    ("p", {"sd": 1, "relative_sd": 1}, "=a beta with mean, sd, relative_sd", "=distribution of p",
+     "=state a mean and one of sd, relative_sd, effective_sample_size; or alpha, beta alone"),
+    ("weight", {"mean": 0, "relative_sd": 1}, "=a relative spread around 0",
+     "=distribution of weight", "=state a finite mean, and around 0 an sd"),
+    ("weight", {"mean": math.inf, "sd": 1}, "=a spread around inf", "=distribution of weight",
+     "=state a finite mean, and around 0 an sd"),
+    ("weight", {"mean": 0}, "=a normal with mean", "=distribution of weight",
+     "=state a mean and one of sd, relative_sd"),
+    ("fit", {"names": ["p", "debt"]}, "=names alone", "=parameter fit", ALONE),
+    ("fit", {"covariance": [[1]]}, "=covariance alone", "=parameter fit", ALONE),
+    ("p", BOTH, "=a row or a parameter has this name", "=distribution of p",
+     "=name the several differently"),
+    ("fit", BOTH | {"distribution": "gamma"}, "=unknown joint distribution 'gamma'",
+     "=distribution of fit", "=choose one of normal, lognormal"),
+    ("fit", BOTH | {"distribution": "lognormal"}, "=a lognormal covariance without means",
+     "=distribution of fit", "=state meanlog, the means of the logarithms"),
+    ("fit", BOTH | {"sd": 1}, "=sd beside a covariance", "=distribution of fit",
+     "=state names, covariance, and perhaps mean, a list"),
+    ("fit", {"names": ["weight"], "covariance": [[1]]}, "=too few names", "=distribution of fit",
+     "=name two or more; one has an sd, without covariance"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("stated", REFUSED)
-def test_unknown_settings_are_refused(stated: Any) -> None:
-    with pytest.raises(ModelError, match=r"parameter p|distribution of p"):
-        uncertainty(MODEL, stated)
+@pytest.mark.parametrize(("name", "settings", "what", "where", "fix"), REFUSED)
+def test_unknown_settings_are_refused(
+    name: str, settings: Any, what: str, where: str, fix: str
+) -> None:
+    refused(lambda: uncertainty(MODEL, {name: settings}), what, where, fix)
     assert {"mean", "sd", "low", "high", "mode", "shape", "alpha", "fixed"} <= {*SETTINGS}
+
+
+def test_unknown_distributions_and_names_used_twice_are_refused_with_their_place() -> None:
+    said = "=unknown distribution 'bet'", "=distribution of p", "=did you mean beta?"
+    refused(lambda: Uncertain.of("p", "bet", mean=1, sd=1), *said)
+    refused(lambda: Uncertain.of_interval("p", "bet", 1, 2), *said)
+    part = Uncertain.of("p", "uniform", low=0, high=1)
+    refused(lambda: Uncertainty(parts=(part, part), fixed={}),
+            "=two drawn parameters have the same name, 'p'", "=uncertainty")  # fmt: skip
+    refused(lambda: uncertainty(MODEL, default=0), "=effective sample size 0.0", "=default")
 
 
 def test_not_to_be_fixed_is_to_be_as_usual() -> None:
@@ -531,23 +633,37 @@ def test_what_is_stated_of_a_row_holds_for_all_of_it(stated: Any, numbers: Any) 
     assert found.assumed == ((ROW, OTHER) if nothing else (OTHER,))
 
 
-ROWS_REFUSED: list[dict[str, object]] = [
-    {TO_1: {SIZE: 4}},
-    {TO_1: {SIZE: 4}, TO_2: {SIZE: 5}},
-    {ROW: {SIZE: 5}, TO_1: {SIZE: 4}, TO_2: {SIZE: 4}},
-    {ROW: {"sd": 1}},
-    {ROW: {"distribution": "beta"}},
-    {ROW: {"alpha": 3}},
-    {ROW: {"alpha": [1, 2]}},
-    {ROW: {"alpha": [1, 2, "x"]}},
-    {ROW: {SIZE: 0}},
-]
+APART = (f"=the parameters of {ROW} have different settings", f"=distribution of {ROW}",
+         f'=they are drawn together: state the settings once, for "{ROW}"')  # fmt: skip
+DIRICHLET = ("=probabilities of a row are Dirichlet", f"=row {ROW}",
+             f"=state its {SIZE}, or alpha, a list of one more than its parameters")  # fmt: skip
+ROWS_REFUSED: list[tuple[dict[str, object], tuple[str, str, str]]] = [
+    ({TO_1: {SIZE: 4}}, APART),
+    ({TO_1: {SIZE: 4}, TO_2: {SIZE: 5}}, APART),
+    ({ROW: {SIZE: 5}, TO_1: {SIZE: 4}, TO_2: {SIZE: 4}}, APART),
+    ({ROW: {"sd": 1}}, DIRICHLET),
+    ({ROW: {"distribution": "beta"}}, DIRICHLET),
+    ({ROW: {"alpha": 3}}, ("=alpha is 3", f"=row {ROW}", "=give a list of numbers")),
+    ({ROW: {"alpha": [1, 2]}},
+     ("=2 concentrations for 2 probabilities and the remaining one", f"=distribution of {ROW}",
+      "=give one for each, and one more for the remaining probability of the row")),
+    ({ROW: {"alpha": [1, 2, "x"]}},
+     ("='x' is not a finite rational number", f"=parameter {ROW}, alpha", OF_NUMBER)),
+    ({ROW: {SIZE: "x"}},
+     ("='x' is not a finite rational number", f"=parameter {ROW}, {SIZE}", OF_NUMBER)),
+    ({ROW: {SIZE: 0}},
+     ("=effective sample size 0.0", f"=row {ROW}", "choose a number above 0, from 1e-06 to")),
+    ({ROW: {"names": ["reward.1", "discount"], "covariance": [[1, 0], [0, 1]]}},
+     ("=a row or a parameter has this name", f"=distribution of {ROW}",
+      "=name the several differently")),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("stated", ROWS_REFUSED)
-def test_the_entries_of_a_row_are_drawn_together_or_refused(stated: Any) -> None:
-    with pytest.raises(ModelError, match="state 0, 0"):
-        uncertainty(NAMED, stated)
+@pytest.mark.parametrize(("stated", "said"), ROWS_REFUSED)
+def test_the_entries_of_a_row_are_drawn_together_or_refused(
+    stated: Any, said: tuple[str, str, str]
+) -> None:
+    refused(lambda: uncertainty(NAMED, stated), *said)
 
 
 def test_a_row_is_asked_for_by_its_name_or_by_all_of_its_entries() -> None:
@@ -664,6 +780,15 @@ def test_an_interval_is_that_of_the_draws(kind: str, ends: tuple[float, float]) 
         assert stats.binomtest(int((drawn < end).sum()), len(drawn), share).pvalue > 1e-3
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_interval_has_two_ends_and_a_distribution(kind: str) -> None:
+    fix = "=give [low, high] within the range of a normal, lognormal, uniform, gamma, beta"
+    for low, high in ((0.5, 0.5), (0.5, 0.25), (0.5, math.inf), (-math.inf, 0.5), (math.nan, 0.5)):
+        what = f"=no {kind} has the 95 % interval from {low} to {high}"
+        call = partial(Uncertain.of_interval, "p", kind, low, high)
+        refused(call, what, "=distribution of p", fix)
+
+
 def family_of(*names: str) -> Family:
     known = [Parameter(name=name, value=10, low=0) for name in names]
     return Family(parameters=tuple(known), build=lambda at: MDP.from_arrays([[[1]]], [0], 0))
@@ -711,10 +836,24 @@ def test_a_table_and_settings_together() -> None:
     alone = sample_parameters(model, uncertainty(model, {"a": {"sd": 2}}), 3, 0, 64)
     assert draws[:, 0].tolist() == [1, 2, 3]
     assert draws[:, 1].tolist() == alone[:, 0].tolist()
-    for wrong, said in (
-        ([table, {"b": {"sd": 1}}], "a column, and settings"),
-        ([table], "1 things are given"),
-        ([table, table], "2 things are given"),
-    ):
-        with pytest.raises(ModelError, match=said):
-            uncertainty(model, wrong)
+    fix = "=give [table, {name: settings}]: one table and the settings of other parameters"
+    cases: list[tuple[list[Any], tuple[str, str, str]]] = [
+        ([table, {"b": {"sd": 1}}],
+         ("=a column, and settings", "=parameter b", "=leave it out of one of the two")),
+        ([table], ("=1 things are given", "=uncertain", fix)),
+        ([table, table], ("=2 things are given", "=uncertain", fix)),
+    ]  # fmt: skip
+    for wrong, said in cases:
+        refused(partial(uncertainty, model, wrong), *said)
+
+
+def test_what_is_in_a_table_is_not_drawn_and_other_probabilities_rest_on_the_default() -> None:
+    chances = [Parameter(name=name, value="1/4", low=0, high=1) for name in "pq"]
+    model = Family(parameters=tuple(chances), build=lambda at: MDP.from_arrays([[[1]]], [0], 0))
+    table = pd.DataFrame({"p": [0.1, 0.2]})
+    for settings in ({}, {"q": {SIZE: 20}}):
+        chosen = uncertainty(model, [table, settings], default=20)
+        assert [part.kind for part in chosen.parts] == ["sample", "beta"]
+        assert chosen.names == ("p", "q")
+        assert chosen.parts[1].numbers == (5, 15)
+        assert chosen.default == 20

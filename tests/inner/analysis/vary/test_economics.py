@@ -2,12 +2,14 @@
 
 import json
 from fractions import Fraction
+from functools import partial
 from itertools import permutations, product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from refusal_tables import refused
 from scipy.stats import sem
 
 from exact_mdp import MDP, Family, ModelError, cost_effectiveness, evaluate
@@ -21,6 +23,7 @@ from exact_mdp.analysis.vary.economics import (
 )
 from exact_mdp.analysis.vary.information import estimate_evpi, estimate_evppi
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.claims import Claim
 
 NAMES = ("none", "some", "more", "most", "all", "double", "triple")
 DRAWN = Uncertainty(
@@ -186,6 +189,8 @@ def test_means_and_differences_are_within_their_bounds_in_fractions(seed: int) -
         assert apart == means.value[one] - means.value[other]
         wanted = means.error[one] + means.error[other] + UNIT * abs(apart)
         assert off == pytest.approx(wanted * SLACK, rel=1e-12)
+    none = _Means.of(np.zeros((draws, 3)), error).error.tolist()
+    assert all(Fraction(own) >= least for own, least in zip(none, given, strict=True))
     assert _Means.of(numbers, 0.0).error == pytest.approx(
         [float((draws + 4) * Fraction(UNIT) * each) for each in size]
     )
@@ -254,8 +259,13 @@ def test_the_frontier_is_what_no_strategy_and_no_mixture_dominates(block: int) -
             by = [NAMES.index(name) for name in by_name.loc[NAMES[n], "by"].split(" and ") if name]
             assert len(by) == {"dominated": 1, "extendedly dominated": 2}.get(said[n], 0)
             if len(by) == 1:
-                assert cost[by[0]] <= cost[n]
-                assert effect[by[0]] >= effect[n]
+                no_worse = [
+                    m
+                    for m in range(count)
+                    if m != n and cost[m] <= cost[n] and effect[m] >= effect[n]
+                ]
+                best = [m for m in no_worse if said[m] == "efficient"]
+                assert by[0] in (best or no_worse)
             if len(by) == 2:
                 (c1, c2), (e1, e2) = [cost[m] for m in by], [effect[m] for m in by]
                 assert {said[m] for m in by} == {"efficient"}
@@ -313,12 +323,16 @@ def test_costs_and_effects_from_elsewhere() -> None:
     alone = CostEffectiveness.of(cost, effect)
     assert not alone.base_case
     assert alone.evpi(1).value == given.evpi(1).value
-    with pytest.raises(ModelError, match="a population of -5"):
-        given.evpi(1.0, population=-5)
+    for people in (-5, 0):
+        fix = "=give how many people the decision concerns"
+        call = partial(given.evpi, 1.0, population=people)
+        refused(call, f"=a population of {people}", "=population", fix)
     base = CostEffectiveness.of({"a": 1, "b": 3}, {"a": 1, "b": 1.5})
     assert base.base_case
     assert base.icers()["ICER"].tolist()[1] == 4
     assert given.report().facts["seed"].value is None
+    assert (given.claim, base.claim) == (Claim.ESTIMATED, Claim.ESTIMATED)
+    assert "error_bounds" not in base.report().facts
 
 
 DRAWS = pd.DataFrame({"a": [1.0, 2.0]})
@@ -365,13 +379,18 @@ def test_two_discounts_are_two_analyses() -> None:
         assert getattr(both, name)[:, :2].tolist() == getattr(one, name).tolist()
     only = cost_effectiveness(model, strategies, discount={"cost": 0})
     assert only.cost.tolist()[0][:2] == [5, 9]
-    for wrong, words in (({"price": 1}, "unknown component"), ({"cost": 2}, "discount"),
-                         (0.9, "give {component: discount}|is of type float")):  # fmt: skip
-        with pytest.raises(ModelError, match=words):
-            cost_effectiveness(model, strategies, discount=wrong)
+    cases: list[tuple[Any, tuple[str, str, str]]] = [
+        ({"price": 1}, ("=unknown component 'price'", "=discount", "choose one of qaly, cost")),
+        ({"cost": 2}, ("discount is 2", "discount", "")),
+        (0.9, ("=0.9 is of type float", "=discount",
+               '=give {component: discount}: {"cost": 0.97, "qaly": 1}')),
+    ]  # fmt: skip
+    for wrong, words in cases:
+        refused(partial(cost_effectiveness, model, strategies, discount=wrong), *words)
     drawn = {"discount": {"distribution": "uniform", "low": 0.8, "high": 0.9}}
-    with pytest.raises(ModelError, match="drawn, and given, too"):
-        cost_effectiveness(build({"p": 0.5}), strategies, 5, uncertain=drawn, discount={"cost": 1})
+    call = partial(cost_effectiveness, build({"p": 0.5}), strategies, 5, discount={"cost": 1})
+    refused(lambda: call(uncertain=drawn), "=the discount is drawn, and given, too", "=discount",
+            "=hold the discount fixed, or leave discount= out")  # fmt: skip
 
 
 def test_strategies_equal_within_their_errors_are_one() -> None:
@@ -406,6 +425,12 @@ def test_three_strategies_bend_where_no_numbers_within_the_errors_say_otherwise(
         assert found == (surely > 0)
         bent += found
     assert 100 < bent < 300
+    # 2 errors of 1/2 move a product of 1 by 1/2 + 3/4: c₂ must be more than 1 + 5/4.
+    effect = _Means(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 0.5]))
+    for c2, found in ((2.0, False), (2.25, False), (2.2501, True)):
+        cost = _Means(np.array([0.0, 1.0, 1 + c2]), np.array([0.5, 0.0, 0.0]))
+        assert _is_icer_rising(cost, effect, 0, 1, 2) == found
+    assert not _is_icer_rising(exact_means([1, 1, 1]), exact_means([1, 1, 1]), 0, 1, 2)
 
 
 def test_what_bends_by_rounding_alone_does_not_bend() -> None:
@@ -415,10 +440,10 @@ def test_what_bends_by_rounding_alone_does_not_bend() -> None:
     more = _Means(np.array([0.0, 1 / 3, 1 + 1e-9]), np.zeros(3))
     assert _is_icer_rising(more, third, 0, 1, 2)
     assert not _is_icer_rising(third, more, 0, 1, 2)
-    for scale in (1e-8, 1.0, 1e8):
+    for scale, unit in product((1e-8, 1.0, 1e8), repeat=2):
         for units, bends in ((2, False), (5, False), (60, True)):
             cost = _Means(scale * np.array([0.0, 1.0, 2 + 2 * units * UNIT]), np.zeros(3))
-            line = _Means(np.array([0.0, 1.0, 2.0]), np.zeros(3))
+            line = _Means(unit * np.array([0.0, 1.0, 2.0]), np.zeros(3))
             assert _is_icer_rising(cost, line, 0, 1, 2) == bends
 
 
@@ -428,6 +453,11 @@ def test_what_bends_by_rounding_alone_does_not_bend() -> None:
 def test_tables_have_the_curves_and_go_to_twice_the_largest_icer() -> None:
     analysis = analysis_of([[0, 1, 2], [0, 2, 2]], [[0, 3, 9], [0, 3, 9]])
     rows = analysis.icers()
+    assert rows.index.tolist() == [0, 1, 2]
+    turned = analysis_of([[2, 0]], [[9, 0]]).icers()
+    assert (turned["strategy"].tolist(), turned.index.tolist()) == (["some", "none"], [0, 1])
+    refused(lambda: analysis.icers("all"), "=unknown strategy 'all'", "=reference",
+            "choose one of none, some, more")  # fmt: skip
     assert rows["ICER"].tolist() == [pytest.approx(np.nan, nan_ok=True), 2, 12]
     assert analysis.grid().tolist() == pytest.approx([24 * k / 50 for k in range(51)])
     assert analysis.grid(11).tolist() == pytest.approx([24 * k / 10 for k in range(11)])
@@ -463,12 +493,39 @@ def test_the_report_has_the_numbers_of_the_analysis() -> None:
     assert told["drawn"] == {"p.one": "uniform", "p.two": "uniform"}
     assert told["strategies"] == ["none", "some", "more"]
     assert [row["strategy"] for row in told["icers"]] == ["none", "some", "more"]
-    assert "draws 2" in repr(analysis)
+    assert (told["effect"], told["cost"], told["claim"]) == ("qaly", "cost", "estimated")
+    assert "error_bounds" not in told
+    assert repr(analysis) == "CostEffectiveness(none, some, more; draws 2)"
     assert not analysis.base_case
-    base = analysis_of([[0, 1]], [[0, 3]], chosen=Uncertainty(parts=(), fixed={}))
+    facts = analysis.report().facts
+    assert (facts["draws"].text, facts["seed"].text, facts["assumed"].text) == (2, 7, None)
+    titles = [table.title for table in analysis.report().shown_tables()]
+    assert titles == [
+        "strategies, the cheapest first", "limits of 95 % of the draws",
+        "shares of draws in which each is the best",
+    ]  # fmt: skip
+    sizes = Uncertainty(parts=DRAWN.parts, fixed={}, assumed=("p.two",))
+    said = "1 of 2 distributions are not stated, and rest on 100 observations each"
+    assumed = analysis_of([[0, 1]], [[0, 3]], chosen=sizes)
+    assert repr(assumed) == f"CostEffectiveness(none, some; draws 1; {said})"
+    fact = assumed.report().facts["assumed"]
+    assert (fact.value, fact.text) == (("p.two",), said)
+
+
+def test_a_base_case_is_bounded_by_its_greatest_errors() -> None:
+    off = {"effect_error": np.array([[1e-9, 2e-9]]), "cost_error": np.array([[4e-9, 3e-9]])}
+    base = analysis_of([[0, 1]], [[0, 3]], chosen=Uncertainty(parts=(), fixed={}), **off)
     assert base.base_case
-    assert "the base case" in repr(base)
-    assert str(base.report()) != ""
+    assert base.claim is Claim.BOUNDED
+    assert repr(base) == "CostEffectiveness(none, some; the base case)"
+    report = base.report()
+    told = json.loads(report.json())
+    assert told["error_bounds"] == {"qaly": 2e-9, "cost": 4e-9}
+    assert (told["claim"], told["draws"], told["seed"]) == ("bounded", 1, 7)
+    assert (report.facts["draws"].text, report.facts["seed"].text) == ("none: the base case", None)
+    assert [table.title for table in report.shown_tables()] == [
+        "strategies, the cheapest first", "shares of draws in which each is the best",
+    ]  # fmt: skip
 
 
 def test_a_price_is_one_finite_number_and_prices_are_a_list() -> None:
@@ -525,6 +582,7 @@ def test_costs_and_effects_are_those_of_each_draw(count: int) -> None:
 def test_nothing_is_drawn_of_the_base_case() -> None:
     base = cost_effectiveness(MODEL, POLICIES)
     assert base.base_case
+    assert base.seed == 0
     assert {**base.uncertainty.fixed} == dict.fromkeys(("gain", "price"), "held in the base case")
     assert (base.draws.shape, base.effect.tolist(), base.cost.tolist()) == (
         (1, 0), [[0, 1, 2]], [[0, 5, 20]]
@@ -540,11 +598,11 @@ def test_nothing_is_drawn_of_the_base_case() -> None:
 
 
 def test_strategies_have_names_and_components_are_those_of_the_model() -> None:
-    lists: list[tuple[Any, str]] = [({}, "no strategy"), ([[0, 0]], "without names")]
+    lists: list[tuple[Any, str]] = [({}, "no strategy"), ([[0, 0]], "strategies without names")]
     for wrong, said in lists:
-        with pytest.raises(ModelError, match=said):
-            cost_effectiveness(MODEL, wrong)
-    with pytest.raises(ModelError, match="component"):
-        cost_effectiveness(MODEL, POLICIES, effect="life")
-    with pytest.raises(ModelError, match="component"):
-        cost_effectiveness(MODEL, POLICIES, cost="life")
+        fix = "=give {name: policy}, at least one"
+        refused(partial(cost_effectiveness, MODEL, wrong), f"={said}", "=strategies", fix)
+    asked: list[dict[str, Any]] = [{"effect": "life"}, {"cost": "life"}]
+    for names in asked:
+        call = partial(cost_effectiveness, MODEL, POLICIES, **names)
+        refused(call, "=unknown component 'life'", "=cost-effectiveness", "choose one of")

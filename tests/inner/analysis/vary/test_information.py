@@ -97,7 +97,7 @@ def test_normal_equations_give_the_least_squares_of_another_library(seed: int) -
     """Of columns of any size, of which some are 0 or the sum of others."""
     rng = np.random.default_rng(seed)
     terms, sides = (
-        rng.normal(size=(30, 5)) * 10.0 ** rng.integers(-6, 6, 5),
+        rng.normal(size=(30, 5)) * 10.0 ** rng.integers(-12, 12, 5),
         rng.normal(size=(30, 2)),
     )
     more = np.column_stack([terms, np.zeros(30), terms[:, 0] + terms[:, 1]])
@@ -108,6 +108,17 @@ def test_normal_equations_give_the_least_squares_of_another_library(seed: int) -
         )
         found = given @ _solve_normal_equations(given.T @ given, given.T @ sides)
         assert found == pytest.approx(best, abs=1e-5)
+
+
+def test_what_draws_do_not_tell_apart_gets_one_coefficient() -> None:
+    """Of two columns that differ by less than 6 · 10^-7 of themselves: the root of 4 · 10^-13."""
+    rng = np.random.default_rng(0)
+    for apart, told in ((3e-7, False), (3e-6, True)):
+        one, more = rng.normal(size=(2, 40))
+        terms = np.column_stack([one, one + apart * more])
+        found = _solve_normal_equations(terms.T @ terms, terms.T @ more[:, None])[:, 0]
+        own = one @ more / (one @ one) / 2
+        assert (found == pytest.approx([own, own], rel=1e-4)) != told
 
 
 def longest(draws: np.ndarray, residuals: np.ndarray) -> tuple[float, bool]:
@@ -194,12 +205,12 @@ def expected(values: np.ndarray, draws: np.ndarray) -> Expected:
     total, surprising = longest(draws, (ahead - fitted)[:, taken])
     sure, missed = float(sem(own)), total / count
     apart, astray = value - lower, promised - np.mean(own)
-    said = []
-    if abs(apart) > sure > 0 or lower < value / 2:
+    said, noise = [], 1e-9 * value
+    if abs(apart) > max(sure, noise) or lower < value / 2:
         said.append("the fit's choices earn less or more in draws that it has not seen")
-    if abs(astray) > sure / 2 > 0:
+    if abs(astray) > max(sure / 2, noise):
         said.append("the fit promises less or more than its choices earn")
-    if surprising and missed > max(sure / 10, 1e-9 * value):
+    if surprising and missed > max(sure / 10, noise):
         said.append("the fit misses a pattern along a parameter")
     carried = gain.sum() ** 2 / (gain**2).sum() if gain.any() else 0
     if carried < 50:
@@ -243,6 +254,40 @@ def test_evppi_is_what_its_definition_says_and_doubts_what_is_doubtful() -> None
         for each in said or ["none"]:
             seen[each.split(":")[0]] = seen.get(each.split(":")[0], 0) + 1
     assert len(seen) >= 6, seen
+
+
+@pytest.mark.parametrize("size", [1e-7 / 3, 0.1, 1.0, 7.0, 1e7 / 3])
+@pytest.mark.parametrize("count", [100, 101, 200, 300, 1000])
+def test_a_fit_that_is_exact_up_to_rounding_is_reliable(size: float, count: int) -> None:
+    """One of two candidates earns 1 and the other loses 9, by a parameter of two values."""
+    x = np.random.default_rng(0).integers(0, 2, (count, 1))
+    values = size * np.hstack([0 * x, 1 - 10 * x, 10 * x - 9])
+    found = estimate_evppi(values, 1.0 * x, ("x",))
+    assert found.doubts == ()
+    assert (found.regression.value, found.lower.value) == pytest.approx((size, size), rel=1e-12)
+    assert found.regression.standard_error < 1e-12 * size
+
+
+def test_a_choice_that_earns_nothing_where_much_is_promised_is_doubtful() -> None:
+    """A line through losses of 1 in the lower draws promises gains in the upper ones."""
+    x = np.arange(30.0)[:, None]
+    values = np.hstack([np.zeros((30, 1)), np.where(x < 4, -1.0, 0.0)])
+    values[0, 1] = 0.5  # where it is not chosen: EVPI is 1/60
+    found = estimate_evppi(values, x, ("x",))
+    assert found.regression.value == pytest.approx(1 / 60)
+    assert "the fit promises less or more than its choices earn" in found.doubts
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_units_of_parameters_do_not_matter(seed: int) -> None:
+    """By powers of 2, not even in the last digit; and not where they begin."""
+    values, draws = problem(seed)
+    draws = np.hstack([draws, draws[:, :1] ** 2])
+    found, known = estimate_evppi(values, draws, ("x",)), draws.shape[1]
+    units = 2.0 ** np.linspace(-400, 400, known).round()
+    assert estimate_evppi(values, draws * units, ("x",)) == found
+    moved = estimate_evppi(values, draws + 1e6 * np.arange(known), ("x",))
+    assert moved.regression.value == pytest.approx(found.regression.value, rel=1e-6)
 
 
 def test_what_is_known_of_nothing_that_varies_or_of_one_candidate_is_worth_nothing() -> None:

@@ -3,12 +3,14 @@
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from refusal_tables import refused
 from scipy.stats import binomtest, sem
 
 from exact_mdp import MDP, Family, ModelError, Parameter, psa
@@ -20,10 +22,11 @@ from exact_mdp.analysis.vary.psa import (
     POOL,
     PSA,
     Candidate,
+    _select_policies,
     groups_of,
     sample_parameters,
 )
-from exact_mdp.analysis.vary.study import Study
+from exact_mdp.analysis.vary.study import Study, hash_policies
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.solvers.claims import Estimated
 
@@ -106,6 +109,10 @@ def test_losses_of_first_actions_within_the_errors_count_nothing() -> None:
     assert found.best == "policy 1"
     kept = [each if each > 0.1 + 0.2 else 0.0 for each in lost[:, 2]]
     assert found.low.value == pytest.approx(np.mean(kept))
+    error = np.array([[0.25, 5.0, 0.5, 5.0]] * 40)
+    both = replace(table, lost=np.full((40, 3), 0.75), error=error)
+    least = replace(analysis, table=both).evpi().low
+    assert (least.value, least.standard_error) == (0, 0)
     none = replace(analysis, table=replace(table, lost=np.empty((40, 0)))).evpi()
     assert (none.low.value, none.low.interval) == (0, (0, 0))
 
@@ -155,6 +162,8 @@ def test_groups_are_valued_by_their_columns_and_doubted_where_policies_are_missi
         lost[:, 0] += target - own.value + (shift - apart)
         moved = replace(analysis, table=replace(analysis.table, lost=lost))
         assert (MISSING in moved.evppi({"q": ["q"]})["q"].doubts) == (shift > apart)
+    same = replace(analysis.table, lost=np.zeros((40, 3)), fixed=np.ones((40, 3)))
+    assert MISSING not in replace(analysis, table=same).evppi({"q": ["q"]})["q"].doubts
 
 
 def test_groups_are_those_given_or_each_alone_and_those_that_begin_alike() -> None:
@@ -170,10 +179,17 @@ def test_groups_are_those_given_or_each_alone_and_those_that_begin_alike() -> No
     assert groups_of(chosen, {}) == []
     bare = Uncertainty(parts=(one["d"], one["d.e"]), fixed={})
     assert [label for label, _, _ in groups_of(bare, None)] == ["d", "d.e"]
-    wrong: list[Any] = [["b"], {"some": "b"}, {"some": ["unknown"]}]
-    for groups in wrong:
-        with pytest.raises(ModelError, match="EVPPI"):
-            groups_of(chosen, groups)
+    group = '=give {"label": ["name", …]}'
+    wrong: list[tuple[Any, str, str, str]] = [
+        (["b"], "=['b'] names no groups", "=EVPPI", group),
+        ({"some": "b"}, "={'some': 'b'} names no groups", "=EVPPI", group),
+        ({"some": ["e"]}, "=unknown drawn parameter 'e'", "=EVPPI of some", "choose one of a.x"),
+    ]
+    for groups, *said in wrong:
+        refused(partial(groups_of, chosen, groups), *said)
+    fix = "=draw parameters, or give parameters= to CostEffectiveness.of"
+    empty = Uncertainty(parts=(), fixed={})
+    refused(lambda: groups_of(empty, None), "=no parameter of the draws is known", "=EVPPI", fix)
 
 
 @pytest.mark.parametrize("draws", [1, 2, 19, 20, 40])
@@ -239,6 +255,33 @@ def test_the_report_has_the_numbers_of_the_analysis(draws: int) -> None:
     assert f"draws {draws};" in repr(analysis)
 
 
+def test_what_is_drawn_fixed_and_assumed_is_counted() -> None:
+    analysis = replace(made_up(3), start=psa(WAGERS, 1, uncertain=SAID).start)
+    parts = analysis.uncertainty.parts
+    facts = analysis.report().facts
+    assert (facts["drawn"].text, facts["fixed"].text, facts["assumed"].text) == (
+        "3 parameters", None, None,
+    )  # fmt: skip
+    assert "distributions are not stated" not in repr(analysis)
+    other = Uncertainty(parts=parts[:1], fixed={"r": "no row", "s": "0"}, assumed=("p.one",))
+    analysis = replace(analysis, uncertainty=other)
+    facts = analysis.report().facts
+    assert (facts["drawn"].text, facts["fixed"].text) == ("1 parameter", 2)
+    assert (facts["fixed"].value, facts["assumed"].value) == (other.fixed, ("p.one",))
+    said = "1 of 1 distributions are not stated, and rest on 100 observations each"
+    assert facts["assumed"].text == other.assumption == said
+    assert repr(analysis).endswith(f"; {said})")
+
+
+def test_tables_have_16_rows_at_most_and_may_have_none() -> None:
+    analysis = replace(made_up(3), start=psa(WAGERS, 1, uncertain=SAID).start)
+    tables = analysis.report().tables
+    assert [tables[key].first for key in ("p_optimal", "evppi_details")] == [16, 16]
+    none = replace(analysis, labels=(), table=replace(analysis.table, counts=np.zeros((0, 3))))
+    table = none.report().tables["p_optimal"]
+    assert (table.rows, table.title.endswith("are within 0")) == ([], True)
+
+
 def test_few_draws_that_carry_a_mean_are_told() -> None:
     analysis = replace(made_up(3), start=psa(WAGERS, 1, uncertain=SAID).start)
     (note,) = analysis.report().notes
@@ -284,18 +327,41 @@ def test_draws_come_in_blocks_of_streams_of_their_own_or_from_ones_sample() -> N
     assert sample_parameters(WAGERS, sample, None, 5, 4).tolist() == frame.to_numpy().tolist()
     assert sample_parameters(WAGERS, sample, 2, 5, 4).tolist() == frame.to_numpy()[:2].tolist()
     assert len(sample_parameters(WAGERS, sample, 3, 5, 4)) == 3
-    for how, said in (
-        ((sample, 4), "4 draws of a sample of 3"),
-        ((chosen, None), "number of draws is missing"),
-        ((chosen, 0), "n"),
-        ((chosen, 2**40), "fewer draws"),
-        ((Uncertainty(parts=(), fixed={}), 5), "no parameter is uncertain"),
-    ):
-        with pytest.raises(ModelError, match=said):
-            sample_parameters(WAGERS, *how, 5, 4)
+    wide = f"={2**40:,} points of 2 parameters take 70,369 GB of memory"
+    cases: list[tuple[tuple[Any, Any], tuple[str, str, str]]] = [
+        ((sample, 4), ("=4 draws of a sample of 3", "=n", "=ask for 3 or fewer")),
+        ((chosen, None), ("=the number of draws is missing", "=n", "=say n=1000")),
+        ((chosen, 0), ("0", "=n", "")),
+        ((chosen, 2**40), (wide[1:], "=points", "=ask for fewer draws")),
+        ((Uncertainty(parts=(), fixed={}), 5),
+         ("=no parameter is uncertain", "=model", "state distributions (--uncertain FILE")),
+    ]  # fmt: skip
+    for how, said in cases:
+        refused(partial(sample_parameters, WAGERS, *how, 5, 4), *said)
     outside = uncertainty(WAGERS, {"p": {"distribution": "normal", "mean": 0.5, "sd": 5}})
-    with pytest.raises(ModelError, match="outside"):
-        sample_parameters(WAGERS, outside, 20, 0, 8)
+    fix = "=draw finite numbers within its range: a beta stays between 0 and 1, a gamma and a "
+    fix += "log-normal above 0"
+    refused(lambda: sample_parameters(WAGERS, outside, 20, 0, 8), "outside [0, 1]", "draw", fix)
+
+
+def test_pieces_are_known_by_the_seed_and_what_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[Any, ...]] = []
+
+    def note(solver: Any, points: Any, size: int, key: Any, how: Any) -> None:
+        asked.append((key, how, size))
+        raise ModelError("enough")
+
+    monkeypatch.setattr("exact_mdp.analysis.vary.psa.StudyDraws", note)
+    frame = pd.DataFrame({"q": [0.1, 0.2, 0.3], "p": [0.4, 0.5, 0.6]})
+    betas = [["p", "beta", 1, 1], ["q", "beta", 2, 1]]
+    own = [[["q", "sample"], ["p", "sample"]], hash_policies(frame.to_numpy())]
+    usual = {"n_jobs": 1, "folder": None, "progress": False}
+    other: dict[str, Any] = {"n_jobs": None, "folder": "here", "progress": True}
+    for given, n, more, drawn in ((SAID, 2, {}, betas), (frame, None, other | {"rng": 7}, own)):
+        with pytest.raises(ModelError, match="enough"):
+            psa(WAGERS, n, uncertain=given, **more)
+        how = usual | {name: more[name] for name in usual if name in more}
+        assert asked.pop() == ({"seed": more.get("rng", 0), "drawn": drawn}, how, 64)
 
 
 # ---- models --------------------------------------------------------------------------------------
@@ -436,8 +502,107 @@ def test_candidates_are_chosen_among_those_that_win_most_where_there_are_many(
     assert len(found) > 2
 
 
-def test_at_most_24_policies_are_considered() -> None:
+class Tried:
+    """Draws whose policies are numbers: what each is worth in each draw is a table (D, U)."""
+
+    def __init__(self, worth: np.ndarray, sign: int, pool: int) -> None:
+        self.worth, self.sign, self.pool = worth, sign, pool
+        self.solver = self
+
+    def hold_policy(self, row: np.ndarray) -> np.ndarray:
+        return row
+
+    def to_action_numbers(self, row: np.ndarray) -> np.ndarray:
+        return row
+
+    def evaluate_policies(self, points: np.ndarray, rows: list[np.ndarray]) -> dict[str, Any]:
+        draws, policies = points[:, 0].astype(int), [int(row[0]) for row in rows]
+        return {"value": self.sign * self.worth[np.ix_(draws, policies)]}
+
+    def with_policies(self, table: Study, rows: list[np.ndarray]) -> Study:
+        more = self.sign * self.worth[:, [int(row[0]) for row in rows]]
+        error = np.hstack([table.error, table.error[:, 1:2] / 2])
+        return replace(table, fixed=np.hstack([table.fixed, more]), error=error)
+
+
+def select(
+    worth: np.ndarray, error: np.ndarray, given: list[int], sign: int = 1, pool: int = 5
+) -> tuple[list[int], list[int]]:
+    """The numbers of the policies selected, and those of a search by loops."""
+    draws, optimum = range(len(worth)), worth.argmax(axis=1)
+    numbers, which = np.unique(optimum, return_inverse=True)
+    table = replace(
+        made_up(0, sense=sign, draws=len(worth)).table, optimal=sign * worth.max(axis=1),
+        fixed=sign * worth[:, given], error=error, rows=numbers[:, None], which=which,
+        points=np.arange(len(worth))[:, None],
+    )  # fmt: skip
+    named = [(f"given {k}", np.array([k])) for k in given]
+    found, after = _select_policies(Tried(worth, sign, pool), table, named)  # type: ignore[arg-type]
+    assert [name for name, _ in found[len(given) :]] == [
+        f"alternative {k + 1}" for k in range(len(found) - len(given))
+    ]
+    assert np.array_equal(after.fixed, sign * worth[:, [int(row[0]) for _, row in found]])
+
+    picked, off = [*given], error[:, 1:].max(axis=1) + error[:, 0]
+
+    def lost(d: int) -> float:
+        behind = worth[d].max() - worth[d, picked].max()
+        return behind if behind > off[d] else 0.0
+
+    def own(k: int) -> float:
+        return sum(lost(d) for d in draws if optimum[d] == k)
+
+    total = sum(map(lost, draws))
+    most = sorted(draws, key=lambda d: -lost(d))[:pool]
+    considered = sorted(numbers.tolist(), key=lambda k: -own(k))[:POOL]
+    considered = [k for k in considered if own(k) > 0 and k not in given]
+
+    def gain(k: int) -> float:
+        best = worth[:, picked].max(axis=1)
+        return max(own(k), sum(max(worth[d, k] - best[d], 0) for d in most))
+
+    for _ in range(6):
+        first = max(considered, key=gain, default=None)
+        if first is None or gain(first) <= total / 100:
+            break
+        picked.append(first)
+    return [int(row[0]) for _, row in found], picked
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_policies_are_selected_as_by_loops(sign: int) -> None:
+    """Of numbers with many ties, in draws of which few count, and with errors that explain some."""
+    counts = set()
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        draws, policies = int(rng.integers(1, 60)), int(rng.integers(2, 40))
+        worth = rng.integers(-3, 4, (draws, policies)) * rng.choice([0.25, 1, 8], (draws, 1))
+        error = rng.choice([0, 0.125, 0.25, 0.5, 4], (draws, 3))
+        found, wanted = select(worth, error, rng.permutation(policies)[:2].tolist(), sign)
+        assert found == wanted
+        counts.add(len(found))
+    assert counts >= {2, 3, 5, 8}
+
+
+def test_at_most_six_are_added_of_24_and_the_first_of_those_that_are_alike() -> None:
     assert POOL == 24
+    own = 1.0 + np.arange(40) % 3
+    worth = np.hstack([np.zeros((40, 1)), np.diag(own)])
+    nothing = np.zeros((40, 2))
+    found, wanted = select(worth, nothing, [0])
+    assert found == wanted == [0, 3, 6, 9, 12, 15, 18]
+
+
+def test_a_hundredth_of_the_loss_is_too_little_and_so_is_what_errors_explain() -> None:
+    nothing, worth = np.zeros((2, 2)), np.array([[0.0, 99.0, 0.0], [0.0, 0.0, 1.0]])
+    assert select(worth, nothing, [0]) == ([0, 1], [0, 1])
+    worth[1, 2] = 1.0625
+    assert select(worth, nothing, [0]) == ([0, 1, 2], [0, 1, 2])
+    # Of the optimum and the greatest of the policies: 1 + 4 in the first draw, 2 + 1 in the other.
+    error = np.array([[1.0, 4.0, 2.0], [2.0, 0.5, 1.0]])
+    for first, second, some in ((5.0, 3.0, []), (5.25, 3.0, [2]), (5.0, 3.25, [3]), (6, 4, [2, 3])):
+        worth = np.array([[0.0, 0, first, 0], [0, 0, 0, second]])
+        assert sorted(select(worth, error, [0, 1])[0]) == [0, 1, *some]
 
 
 def test_costs_have_the_same_candidates() -> None:

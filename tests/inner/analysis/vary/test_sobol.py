@@ -1,10 +1,12 @@
 """Sobol indices against scipy's estimators and loops over the draws."""
 
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
+from refusal_tables import refused
 from scipy import stats
 
 from exact_mdp import MDP, Family, ModelError, sobol
@@ -138,7 +140,8 @@ def built(at: Any) -> MDP:
     )
 
 
-MODEL = Family(parameters={"x": 1, "y": 2, "z": 3}, build=built)
+WORTH = {"x": 1, "y": 2, "z": 3}
+MODEL = Family(parameters=WORTH, build=built)
 RANGES: dict[str, Any] = {"y": (-1, 1), "x": (0, 2), "z": (0, "1/2")}
 
 
@@ -159,8 +162,8 @@ def test_a_model_is_solved_at_each_point_of_the_design() -> None:
     assert found.names == ("y", "x", "z")
     assert (found.n, found.draws, found.seed) == (16, 80, 5)
     assert found.model == "model"
-    with pytest.raises(ModelError, match="output"):
-        found.of("value")
+    said = "=unknown output 'value'", "=output", "choose one of optimal, fixed, regret"
+    refused(lambda: found.of("value"), *said)
     again = sobol(MODEL, ranges=RANGES, n=n, rng=6, policy=held)
     assert again.optimal.mean != found.optimal.mean
 
@@ -190,6 +193,8 @@ def test_tables_have_the_indices_the_largest_total_first() -> None:
             key=lambda row: -row[3],
         )  # fmt: skip
         assert frame["parameter"].tolist() == [row[0] for row in rows]
+        assert frame.index.tolist() == [0, 1, 2]
+        assert [*frame] == ["parameter", "unit", "low", "high", *columns, "claim"]
         assert frame[columns].to_numpy().tolist() == [[*row[1:]] for row in rows]
         spans = {"x": (0, 2), "y": (-1, 1), "z": (0, 0.5)}
         assert [*zip(frame["low"], frame["high"], strict=True)] == [spans[row[0]] for row in rows]
@@ -205,6 +210,53 @@ def test_tables_have_the_indices_the_largest_total_first() -> None:
     assert [*lost["first_order"].values()] == pytest.approx(found.regret.first.tolist())
     assert (facts["draws"], facts["samples"], facts["confidence"]) == (160, 32, 0.95)
     assert facts["ranges"].value == {"y": [-1, 1], "x": [0, 2], "z": [0, 0.5]}
+
+
+def test_parameters_that_explain_as_much_keep_their_order() -> None:
+    names = [f"x{k}" for k in range(40)]
+    model = Family(parameters=dict.fromkeys(names, 1), build=lambda at: built(WORTH))
+    found = sobol(model, n=2)
+    assert found.frame()["parameter"].tolist() == names
+    totals = np.arange(40) % 3 / 2
+    other = replace(found, optimal=replace(found.optimal, total=totals))
+    assert other.frame()["parameter"].tolist() == names[2::3] + names[1::3] + names[::3]
+
+
+def test_rewards_per_step_have_indices_too() -> None:
+    """x is earned in each step, but not in one after it with chance z: x / (1 + z)."""
+
+    def build(at: Any) -> MDP:
+        x, z = at["x"], at["z"]
+        rows = [(0, 0, [(z, 1, x), (1 - z, 0, x)]), (1, 0, [(1, 0, 0)])]
+        return MDP.from_outcomes(rows, discount="1/2")
+
+    model = Family(parameters={"x": 1, "z": Fraction(1, 2)}, build=build)
+    found = sobol(model, ranges={"x": (1, 2), "z": (0, 1)}, n=16, criterion="average")
+    child = np.random.SeedSequence(0).spawn(2)  # 0 is the seed unless one is given
+    spans = [Range(low=1, high=2), Range(low=0, high=1)]
+    x, z = _build_design(spans, 16, np.random.default_rng(child[0])).T
+    resamples = np.random.default_rng(child[1]).integers(16, size=(200, 16))
+    wanted = _estimate_indices((x / (1 + z)).reshape(16, -1), 0.0, resamples)
+    assert found.seed == 0
+    assert found.optimal.mean == pytest.approx(wanted.mean)
+    for part in ("first", "first_half", "total", "total_half"):
+        assert getattr(found.optimal, part) == pytest.approx(getattr(wanted, part), abs=1e-9)
+    assert found.report().facts["criterion"].value == "average"
+
+
+def test_how_work_is_done_is_told_to_the_study(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def note(*_: Any, **how: Any) -> None:
+        asked.append(how)
+        raise ModelError("enough")
+
+    monkeypatch.setattr("exact_mdp.analysis.vary.sobol.study", note)
+    usual = {"n_jobs": 1, "folder": None, "progress": False}
+    for how in ({}, {"n_jobs": None, "folder": "here", "progress": True}):
+        with pytest.raises(ModelError, match="enough"):
+            sobol(MODEL, n=2, **how)
+        assert asked.pop() == {"criterion": "total"} | usual | how
 
 
 def test_names_and_shares_choose_what_varies_and_samples_are_powers_of_2() -> None:

@@ -2,15 +2,18 @@
 
 from dataclasses import replace
 from fractions import Fraction as F
+from functools import partial
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from oracle import best_average, gain_and_bias, mean, policies, policy_values, rows_of
+from refusal_tables import refused
 
-from exact_mdp import MDP, Family, Parameter, Scenario, parametric, study
+from exact_mdp import MDP, Family, Parameter, Scenario, parametric, solve, study
 from exact_mdp.analysis.vary.study import (
     CareSolver,
     ModelSolver,
@@ -23,8 +26,10 @@ from exact_mdp.analysis.vary.study import (
     require_room_for_points,
     solver_of,
 )
+from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import MOST_BYTES
+from exact_mdp.solvers.parallel import Arrays, run_pieces
 from exact_mdp.solvers.stacked import StackedModel
 
 POINTS = {"p": [F(1, 4), F(1, 2), F(3, 4)], "r": [F(0), F(-2), F(5)]}
@@ -75,7 +80,9 @@ def test_a_digest_tells_policies_apart() -> None:
     one, other = np.array([0.0, 1.0]), np.array([1.0, 0.0])
     seen = {hash_policies(*each) for each in product([one, other], repeat=2)}
     assert len(seen) == 4
-    assert hash_policies(one) == hash_policies(one.copy())
+    assert hash_policies(one) == hash_policies(one.copy()) == hash_policies(np.array([0, 1]))
+    thirds = np.array([F(1, 3), F(2, 3)])  # by their floats, not by where they lie in memory
+    assert hash_policies(thirds) == hash_policies(thirds.astype(float))
 
 
 def test_too_many_points_are_refused_before_any_work() -> None:
@@ -200,8 +207,8 @@ def test_a_study_counts_optimal_actions_and_what_first_actions_lose() -> None:
             if state == 0:
                 assert found.lost[d, action] == pytest.approx(float(exact), abs=1e-12)
         assert np.isnan(found.lost[d, 2])
-    assert found.counts.tolist() == counts.tolist()
-    assert found.cut.tolist() == [False] * 3
+    assert (found.counts.tolist(), found.counts.dtype.kind) == (counts.tolist(), "i")
+    assert (found.cut.tolist(), found.cut.dtype.kind) == ([False] * 3, "b")
     several = Family(
         parameters={"p": "1/2", "r": 1}, build=lambda at: varied(at, start={0: 1, 1: 0})
     )
@@ -289,6 +296,34 @@ def test_a_regret_within_the_errors_of_both_values_is_none() -> None:
     assert study(family, {"p": [F(1, 4)]}, []).frame()["value"].tolist() == [found.optimal[0]]
 
 
+def test_work_is_kept_in_a_folder_and_done_by_threads_if_they_share_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder of one draw tells models apart that are alike today."""
+    asked = list[bool]()
+
+    def note(*given: Any, threads: bool, **how: Any) -> list[Arrays]:
+        asked.append(threads)
+        return run_pieces(*given, threads=threads, **how)
+
+    monkeypatch.setattr("exact_mdp.analysis.vary.study.run_pieces", note)
+
+    def family_of(factor: int) -> Family:
+        return Family(
+            parameters={"p": 0},
+            build=lambda at: MDP.from_outcomes(
+                [(0, 0, [(1, 1, 1 + factor * at["p"])]), (1, 0, [(1, 1, 0)])]
+            ),
+        )
+
+    assert study(family_of(1), {"p": [2]}, folder=tmp_path).optimal.tolist() == [3]
+    with pytest.raises(ModelError, match="first_draw"):
+        study(family_of(2), {"p": [2]}, folder=tmp_path)
+    scenario = parametric(Scenario.load("yuan2025").with_(tasks=[1], max_trial=1))
+    study(scenario, {"base.anger": [0.05]})
+    assert asked == [False, False, True]
+
+
 @pytest.mark.parametrize("stored", [True, False])
 def test_policies_can_be_added_to_a_study(stored: bool, tmp_path: Path) -> None:
     family = Family(parameters={"p": "1/2", "r": 1}, build=varied)
@@ -327,11 +362,14 @@ def test_a_point_that_makes_no_model_is_named_by_its_number() -> None:
     assert "draw 70" in str(caught.value)
     assert caught.value.fix.startswith("choose ranges, or distributions")
     assert "draw probabilities of one row together" in caught.value.fix
-    for number, at in ((0, 0), (70, 70)):
-        with pytest.raises(ModelError, match=f"draw {number},"):
-            ModelSolver(family, ("p",)).solve_draws(np.full((90, 1), 1.5)[: 90 - at], at)
-    with pytest.raises(ModelError, match="not a table of points"):
-        study(family, [0.5])  # type: ignore[arg-type]
+    draws, solver, policy = points[:, None], ModelSolver(family, ("p",)), np.ones(2)
+    for first in ((), (0,), (5,)):  # more than are in memory at a time
+        number = sum(first, start=70)
+        refused(partial(solver.solve_draws, draws, *first), "", f"draw {number}, p = 1.5")
+        refused(partial(solver.evaluate_policies, draws, [policy], *first), "", f"draw {number},")
+    what = "=[0.5] is not a table of points"
+    fix = "=give {name: numbers}, or a pandas.DataFrame"
+    refused(lambda: study(family, [0.5]), what, "=points", fix)  # type: ignore[arg-type]
 
 
 def test_probabilities_that_are_cut_off_are_said_with_their_draw() -> None:
@@ -428,22 +466,107 @@ def test_a_study_of_averages_holds_today_s_best_and_leaves_first_actions_out() -
     assert float(solver.solution.start.value) == pytest.approx(float(today), abs=1e-12)
 
 
+# ---- the errors of solutions ---------------------------------------------------------------------
+
+
+def noticed(doubt: np.ndarray, wanted: list[F]) -> None:
+    """Each bound is a sum of errors, and the little that rounding adds."""
+    for got, exact in zip(doubt.tolist(), wanted, strict=True):
+        assert exact <= F(got) <= exact * (1 + F(1, 10**6))
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_gaps_are_as_uncertain_as_the_values_of_a_pair_and_of_what_follows(
+    sense: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of values that are as far off as they may be, in each direction: |V - V*| = e."""
+    mdp, off = varied({"p": F(1, 3), "r": F(2)}, sense), [F(1, 2**14), F(1, 2**10), F(1, 2**12)]
+    solution, (_, lost) = solve(mdp), exactly(mdp)
+    bound = [off[s] + F(3, 4) * mean(law, off) for s, _, _, law in rows_of(mdp)]
+    for signs in product([-1, 1], repeat=3):
+        value = solution.value + np.array(signs) * np.array(off, dtype=float)
+        wrong = replace(solution, value=value, state_error=np.array(off, dtype=float))
+        solved = "exact_mdp.analysis.vary.study.solve"
+        monkeypatch.setattr(solved, lambda *_, wrong=wrong, **__: wrong)
+        _, _, (gap,), (doubt,), _ = _Drawn(mdp, None, [mdp]).solve_models()
+        noticed(doubt, bound)
+        for got, most, exact in zip(gap.tolist(), doubt.tolist(), lost, strict=True):
+            assert abs(F(got) - exact) <= F(most)
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_gaps_of_averages_are_as_uncertain_as_gain_and_bias(
+    sense: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a pair gives up is of gains; else of biases, less the gain of a step."""
+    mdp, rng = two_classes({"p": F(1, 7), "r": F(4)}, sense), np.random.default_rng(0)
+    of_gain, of_bias = (
+        [F(int(k), 2**20) for k in rng.permutation([1, 10, 100, 1000])] for _ in range(2)
+    )
+    solution, (_, lost) = solve(mdp, criterion="average"), exact_averages(mdp)
+    gain, _ = best_average([(s, a, mdp.sense.sign * r, law) for s, a, r, law in rows_of(mdp)])
+    bound = []
+    for s, _, _, law in rows_of(mdp):
+        if gain[s] > mean(law, gain):
+            bound.append(of_gain[s] + mean(law, of_gain))
+        else:
+            bound.append(2 * of_gain[s] + of_bias[s] + mean(law, of_bias))
+    assert len({gain[s] > mean(law, gain) for s, _, _, law in rows_of(mdp)}) == 2
+    for _ in range(20):
+        signs = rng.choice([-1, 1], (2, 4))
+        errors = np.array([of_gain, of_bias], dtype=float)
+        wrong = replace(
+            solution, value=solution.value + signs[0] * errors[0], state_error=errors[0],
+            bias=solution.bias + signs[1] * errors[1], bias_error=errors[1],
+        )  # fmt: skip
+        solved = "exact_mdp.analysis.vary.study.solve"
+        monkeypatch.setattr(solved, lambda *_, wrong=wrong, **__: wrong)
+        drawn = _Drawn(mdp, None, [mdp], criterion="average")
+        _, _, (gap,), (doubt,), _ = drawn.solve_models()
+        noticed(doubt, bound)
+        for got, most, exact in zip(gap.tolist(), doubt.tolist(), lost, strict=True):
+            assert abs(F(got) - exact) <= F(most)
+
+
+def test_where_no_gain_is_given_up_a_pair_loses_what_it_earns_less_at_first() -> None:
+    rows = [(0, 0, [(1, 1, 2)]), (0, 1, [(1, 1, -1)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    _, _, (gap,), (doubt,), _ = _Drawn(mdp, None, [mdp], criterion="average").solve_models()
+    assert gap.tolist() == [0, 3, 0]
+    assert doubt.max() < 1e-12
+
+
+def test_models_are_solved_one_by_one_if_they_cannot_be_solved_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    models = [varied({"p": F(1, k), "r": F(2)}) for k in (2, 3)]
+    drawn = _Drawn(models[0], StackedModel.of(models), models)
+    monkeypatch.setattr(StackedModel, "optimum", lambda self: None)
+    start = drawn.solve_models()[0]
+    assert start == pytest.approx([float(exactly(mdp)[0][0]) for mdp in models])
+
+
 # ---- single draws --------------------------------------------------------------------------------
 
 
-def test_losses_next_to_infinite_values_are_infinite_or_none() -> None:
-    """From state 0 everything is finite; state 1 may earn forever, state 2 only lose forever."""
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_losses_next_to_infinite_values_are_infinite_or_none(sense: str) -> None:
+    """From state 0 everything is finite; others may gain for ever, or only lose for ever."""
+    sign = 1 if sense == "max" else -1
     rows: Any = [
-        (0, 0, [(1, 3, 1)]), (0, 1, [(1, 3, 0)]),
-        (1, 0, [(1, 1, 1)]), (1, 1, [(1, 3, 0)]),
-        (2, 0, [(1, 2, -1)]), (2, 1, [("1/2", 1, 0), ("1/2", 2, 0)]),
+        (0, 0, [(1, 3, sign)]), (0, 1, [(1, 3, 0)]),
+        (1, 0, [(1, 1, sign)]), (1, 1, [(1, 3, 0)]),
+        (2, 0, [(1, 2, -sign)]), (2, 1, [("1/2", 1, 0), ("1/2", 2, 0)]),
         (3, 0, [(1, 3, 0)]),
+        (4, 0, [("1/2", 1, 0), ("1/2", 5, 0)]), (4, 1, [(1, 3, 0)]),
+        (5, 0, [(1, 5, -sign)]),
     ]  # fmt: skip
-    mdp = MDP.from_outcomes(rows)
+    mdp = MDP.from_outcomes(rows, sense=sense)
     drawn = _Drawn(mdp, None, [mdp])
     start, error, gap, _, policy = drawn.solve_models()
-    assert (start.tolist(), error[0] < 1e-12) == ([1.0], True)
-    assert gap[0, :4].tolist() == [0, 1, 0, np.inf]
+    assert (start.tolist(), error[0] < 1e-12) == ([sign], True)
+    assert gap[0].tolist()[:4] == [0, 1, 0, np.inf]
+    assert gap[0].tolist()[7:9] == [np.inf, 0]
     assert policy[0, :2].tolist() == [0, 0]
     assert not np.isnan(gap).any()
 
@@ -492,6 +615,8 @@ def test_models_of_draws_are_kept_and_not_sent_along() -> None:
     exactly_drawn = np.array([[F(1, 4)]], dtype=object)
     solver.evaluate_policies(exactly_drawn, [policy])
     assert len(made) == before + 3
+    solver.evaluate_policies(exactly_drawn + F(1, 10**30), [policy])  # the same as a float
+    assert len(made) == before + 4
     with pytest.raises(ModelError, match="start"):
         ModelSolver(
             Family(parameters={"p": "1/2"}, build=lambda at: two_starts(at["p"])), ("p",)
@@ -524,6 +649,12 @@ def test_draws_of_a_care_scenario_are_as_its_models() -> None:
     assert mine["value"] == pytest.approx(theirs["value"], rel=1e-12)
     assert mine["error"].shape == (2, 1)
     assert mine["value"][0, 0] == pytest.approx(one["start"][0])
+    # What is done is told of states with a choice: at the end, and in a skip, there is none.
+    own = parametric(scenario.scenario.with_(readings={"skip_timestep": "own"}))
+    for solver in (fast, solver_of(own, [name])):
+        for action in solver.mdp.actions[:4]:
+            told = solver.describe_policy(solver.hold_policy(f"always:{action}"))
+            assert told == dict.fromkeys(solver.labels, action)
     statuses = len(scenario.scenario.statuses)
     assert fast.labels == tuple("".join(bits) for bits in product("01", repeat=statuses))
     space = fast.mdp.space
@@ -532,6 +663,38 @@ def test_draws_of_a_care_scenario_are_as_its_models() -> None:
     assert (
         type(solver_of(Family(parameters={"p": "1/2", "r": 1}, build=varied), ["p"])) is ModelSolver
     )
+
+
+@pytest.mark.parametrize("room", [0, 1, 2.5, 40])
+def test_as_many_draws_of_a_scenario_are_in_memory_as_have_room(
+    room: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = parametric(Scenario.load("yuan2025").with_(tasks=[1], max_trial=1))
+    draws = np.linspace(0.01, 0.1, 5)[:, None]
+    usual = solver_of(scenario, ["base.anger"])
+    assert isinstance(usual, CareSolver)
+    block = int(room * usual.stack.rows)
+    monkeypatch.setattr("exact_mdp.analysis.vary.study.BLOCK", block)
+    solver = solver_of(scenario, ["base.anger"])
+    assert solver.together == max(1, int(room))
+    assert solver.solve_draws(draws)["start"].tolist() == usual.solve_draws(draws)["start"].tolist()
+
+
+def test_scenarios_of_six_statuses_and_127_actions_are_solved_by_their_rules(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("CareSolver", "ModelSolver"):
+        monkeypatch.setattr(
+            f"exact_mdp.analysis.vary.study.{name}", lambda *_, name=name, **__: name
+        )
+    for statuses, actions, wanted in (
+        (6, 127, "CareSolver"), (7, 127, "ModelSolver"), (6, 128, "ModelSolver"),
+    ):  # fmt: skip
+        tables: Any = SimpleNamespace(statuses=range(statuses), actions=range(actions))
+        family = ScenarioFamily(scenario=tables)
+        assert str(solver_of(family, ["p"])) == wanted
+        assert str(solver_of(family, ["p"], "average")) == "ModelSolver"
+        assert str(solver_of(family.with_question(lambda mdp: mdp), ["p"])) == "ModelSolver"
 
 
 # ---- what is refused -----------------------------------------------------------------------------
@@ -552,17 +715,25 @@ def test_points_are_checked_by_column_and_draw() -> None:
         ({"p": [0.5], "r": [1.0, 2.0]}, "columns of shape (1,), (2,)", "points"),
         ({"p": [[0.5]]}, "columns of shape (1, 1)", "points"),
         ({}, "columns of shape none", "points"),
+        ({"p": [0.5, np.nan]}, "p is nan, not a finite number", "draw 1"),
+        ({"r": [0.5, 1, -np.inf]}, "r is -inf, not a finite number", "draw 2"),
+        ({1: [0.5]}, "1 is of type int", "points"),
     ):
         with pytest.raises(ModelError) as caught:
-            read_points(family, table)
+            read_points(family, table)  # type: ignore[arg-type]
         assert (caught.value.what, caught.value.where) == (what, where)
 
 
 def test_room_ends_at_the_most_bytes() -> None:
     require_room_for_points(MOST_BYTES // 32, 1, "fewer")
     require_room_for_points(MOST_BYTES // 96, 3, "fewer")
-    with pytest.raises(ModelError):
-        require_room_for_points(MOST_BYTES // 32 + 1, 1, "fewer")
+    for count, parameters in ((MOST_BYTES // 32 + 1, 1), (MOST_BYTES // 96 + 1, 3)):
+        what = f"={count:,} points of {parameters} parameters take "
+        what += (
+            f"{32 * count * parameters / 1e9:,.0f} GB of memory, more than {MOST_BYTES / 1e9:g} GB"
+        )
+        call = partial(require_room_for_points, count, parameters, "ask for fewer")
+        refused(call, what, "=points", "=ask for fewer")
 
 
 def test_infinite_values_are_refused_with_the_ways_out() -> None:
@@ -577,3 +748,39 @@ def test_infinite_values_are_refused_with_the_ways_out() -> None:
     assert "another policy" in caught.value.fix
     assert "ranges in which every value is finite" in caught.value.fix
     assert finite_worth(endless, [1, 0], "draw 3").value == 1
+
+
+def test_values_are_finite_unless_infinite_ones_are_asked_for() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 0, at["x"])]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows)
+
+    family, stay = Family(parameters={"x": -1}, build=build), np.array([1.0, 0.0, 1.0])
+    draws = np.array([[-1.0], [2.0]])
+    for solver in (solver_of(family, ["x"]), ModelSolver(family, ["x"])):
+        refused(lambda solver=solver: solver.solve_draws(draws), "the optimum is infinite, so",
+                "=the total at discount 1, draw 1, x = 2")  # fmt: skip
+        refused(lambda solver=solver: solver.evaluate_policies(draws, [stay]),
+                "the policy held fixed is infinite, so", "draw 0")  # fmt: skip
+    solver = solver_of(family, ["x"], finite=False)
+    assert solver.solve_draws(draws)["start"].tolist() == [1, np.inf]
+    assert solver.evaluate_policies(draws, [stay])["value"][:, 0].tolist() == [-np.inf, np.inf]
+    endless = Family(parameters={"x": 3}, build=build)
+    one = endless.at({})
+    refused(_Drawn(one, None, [one]).solve_models, "the optimum is infinite, so")
+    for usual in (solver_of(endless, ["x"]), ModelSolver(endless, ["x"])):
+        where = "=the total at discount 1, today's parameters"
+        refused(lambda usual=usual: usual.solution, "the optimum is infinite, so", where)
+    assert ModelSolver(endless, ["x"], finite=False).solution.start.value == np.inf
+    averages = ModelSolver(endless, ["x"], "average", finite=False)
+    assert averages.solution.start.value == 3
+    assert averages.evaluate_policies(draws, [stay])["value"][:, 0].tolist() == [-1, 2]
+
+
+def test_both_actions_of_a_state_in_which_all_is_over_are_optimal() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 1, at["x"])]), (1, 0, [(1, 1, 0)]), (1, 1, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows)
+
+    solver = ModelSolver(Family(parameters={"x": 1}, build=build), ["x"])
+    assert solver.solve_draws(np.array([[1.0], [2.0]]))["counts"].tolist() == [[2, 2]]
