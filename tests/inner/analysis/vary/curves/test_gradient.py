@@ -548,22 +548,37 @@ def test_a_checked_number_compares_as_the_number_that_was_checked() -> None:
 
 @pytest.mark.parametrize(("discount", "of_uses"), [(1, 4 + 1), ("1/2", (8 + 1) * 2)])
 def test_the_bound_counts_each_rounding(discount: object, of_uses: int, monkeypatch: Any) -> None:
-    """With a unit of 2^-20 and numbers that are exact, each rounding that is counted shows.
+    """With a unit of 1/16 and numbers that are exact, each rounding that is counted shows.
 
     A use is a product with a weight of one rounding, and below discount 1 a share of 1 - γ = 1/2.
     The derivative is a sum of two pairs, and its terms are rows of one product.
     """
-    off = 2.0**-20
-    monkeypatch.setattr(inner, "gamma", lambda terms: terms * off)
+    unit = F(1, 16)
+    monkeypatch.setattr(inner, "gamma", lambda terms: terms * float(unit))
 
     def build(at: Any) -> MDP:
-        return MDP.from_outcomes([(0, 0, [(1, 1, at["t"])]), (1, 0, [(1, 1, 0)])], discount)
+        paid = at["t"], at["t"] ** 2 - 2 * at["t"]  # the second does not move at first
+        return MDP.from_outcomes(
+            [(0, 0, [(1, 1, paid[0])]), (1, 0, [(1, 1, paid[1] + 1)])], discount
+        )
 
-    found = gradient(Family(parameters={"t": 1}, build=build), policy=[0, 0], exact=False)["t"]
-    assert found.value is not None
-    roundings = of_uses + 2 * 1 + 2 + 8
-    assert found.value.value == 1
-    assert roundings * F(off) <= F(found.value.error) <= roundings * F(off) + F(1, 10**9)
+    family = Family(parameters={"t": 1}, build=build, degrees={"t": 2})
+    number = gradient(family, policy=[0, 0], exact=False)["t"].value
+    assert number is not None
+    doubt = of_uses * unit
+    bound = doubt + (2 * 1 + 2 + 8) * unit * (1 + doubt)
+    assert number.value == 1
+    assert bound <= F(number.error) <= bound * (1 + F(1, 2**19))
+
+
+def test_a_reward_that_does_not_move_at_first_has_a_derivative_of_0() -> None:
+    def build(at: Any) -> MDP:
+        return MDP.from_outcomes([(0, 0, [(1, 1, at["t"] ** 2)]), (1, 0, [(1, 1, 0)])], 1)
+
+    family = Family(parameters={"t": 0}, build=build, degrees={"t": 2})
+    number = gradient(family, exact=False)["t"].value
+    assert number is not None
+    assert number.value == 0 < number.error < 1e-290  # what products may lose by underflow
 
 
 @pytest.mark.parametrize("exact", [True, False])
