@@ -160,7 +160,7 @@ def exact_average_pass(mdp: MDP, policy: PolicyLike) -> Pass:
             for pair, weight in chain.exact_weights(state).items():
                 uses[pair] = to_flint(seen) * to_flint(weight)
     # An average does not depend on the discount: no row moves with it.
-    rows = np.empty(0, dtype=np.int64), np.empty(0, dtype=object)
+    rows = np.empty(0, dtype=np.int64), np.empty(0)
     flint_gain, flint_bias = (np.array([*map(to_flint, each)], object) for each in (gain, bias))
     best = None
     if certificate is not None:
