@@ -20,6 +20,7 @@ from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
 
+from exact_mdp.mdp.advice import warn_of_zero_reward
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import (
     DistributionError,
@@ -241,6 +242,8 @@ class StudyDraws:
             values = dict(zip(solver.names, points[first].tolist(), strict=True))
             where = f", {count} of {len(points)} draws, the first of them draw {first}"
             solver.model.warn_of_cutoffs(values, where=where)
+        if not (whole["start"].any() or whole["value"].any()):
+            warn_of_zero_reward(solver.mdp)
         # Each block numbers its own optimal policies; here equal ones of all blocks become one.
         rows, places = find_distinct_rows(np.concatenate([block["rows"] for block in done]))
         begins = np.cumsum([0, *(len(block["rows"]) for block in done[:-1])])

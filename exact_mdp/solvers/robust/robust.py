@@ -106,7 +106,8 @@ def solve_robust(
     ModelError
         If the sets do not fit the model; at discount 1, if gains and losses may cancel forever, if
         +∞ and -∞ meet, or if nature can make outcomes impossible and so prevent the end; for an
-        average, if it can do so and no state is visited again and again.
+        average, if it can do so and no state is visited again and again, whichever single outcome
+        it leaves of these pairs, even of those that its set keeps possible.
     SolverError
         At the iteration limit, or if double precision cannot bound the error.
 

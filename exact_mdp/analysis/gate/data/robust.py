@@ -56,7 +56,9 @@ class Robust:
     ----------
     rewards : "known", or (low, high)
         "known" if state, action and next state determine the reward, so it is as recorded;
-        otherwise a range in which rewards lie, as recorded rewards do not rule out others.
+        otherwise a range in which rewards lie, as recorded rewards do not rule out others. Known
+        rewards vary with the row, whose set widens with the number of states; the mean of rewards
+        in a range has a set of its own. So either may be narrower: choose before you look.
     returns : (low, high), optional
         A range for the total reward from any state; needed at discount 1.
 

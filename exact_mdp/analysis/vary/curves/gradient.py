@@ -43,6 +43,7 @@ from exact_mdp.analysis.vary.curves.pair_slopes import (
 )
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import list_usual_parameters, unit_of
+from exact_mdp.mdp.advice import warn_of_zero_reward
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_list
 from exact_mdp.mdp.exact import from_flint, to_flint
@@ -329,6 +330,9 @@ def gradient(
     derivatives = {}
     for each in parameters:
         derivatives[each.name] = _compute_derivative(family, mdp, passed, each, is_finite)
+    sides = [side for each in derivatives.values() for side in (each.left, each.right)]
+    if not any(number is not None and number.value for number in (start, *sides)):
+        warn_of_zero_reward(mdp)
     return Gradient(
         model=family.name,
         start=start,
