@@ -66,10 +66,11 @@ def fit_beta(low: float, high: float) -> Numbers:
         return alpha, beta
 
     def mean_at(power: float) -> float:
-        def beyond(mean: float) -> float:
+        def beyond(log: float) -> float:  # a logarithm has the digits of a small mean, too
+            mean = math.exp(log)
             return float(betaincinv(mean * 10**power, (1 - mean) * 10**power, TAIL)) - low
 
-        return _find_root(beyond, low, 1 - 1e-12)
+        return math.exp(_find_root(beyond, math.log(low), -1e-12))
 
     def width(power: float) -> float:
         mean, size = mean_at(power), 10**power

@@ -24,7 +24,16 @@ LAWS = {
     fit_beta: stats.beta,
 }
 POSITIVE = [(0.5, 0.72), (100, 4000), (3900, 4100), (1e-5, 3)]
-SHARES = [(0.5, 0.72), (0.01, 0.02), (0.001, 0.9), (0.94, 0.96), (0.1, 0.99), (1e-5, 1 - 1e-5)]
+SHARES = [
+    (0.5, 0.72),
+    (0.01, 0.02),
+    (0.001, 0.9),
+    (0.94, 0.96),
+    (0.1, 0.99),
+    (1e-5, 1 - 1e-5),
+    (1e-9, 1e-8),
+    (3e-12, 4e-11),
+]
 CASES = [
     *((fit_normal, ends) for ends in ((-1, 3), (5, 5.5))),
     *((fit_uniform, ends) for ends in ((-1, 3), (0.1, 0.7))),
@@ -37,7 +46,7 @@ CASES = [
 @pytest.mark.parametrize(("fit", "ends"), CASES)
 def test_the_quantiles_are_those_asked_for(fit, ends) -> None:
     law = LAWS[fit](*fit(*ends))
-    assert law.ppf([0.025, 0.975]) == pytest.approx(ends, rel=1e-9)
+    assert law.ppf([0.025, 0.975]) == pytest.approx(ends, rel=1e-9, abs=0)
 
 
 @pytest.mark.parametrize("seed", range(30))
