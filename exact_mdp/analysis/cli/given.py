@@ -195,6 +195,14 @@ class Given:
             start=self.start,
         )
 
+    def with_limits(self, limited: object) -> Given:
+        """Return the same; if there are limits, the model keeps all components for them."""
+        if not limited:
+            return self
+        given = replace(self, limited=True)
+        vars(given)["loaded"] = self.loaded
+        return given
+
     @cached_property
     def question(self) -> partial[MDP] | None:
         """The function that makes the model of the question; None if no option asks one."""

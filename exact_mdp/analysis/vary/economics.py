@@ -19,7 +19,7 @@ neighbours.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Self
 
@@ -60,6 +60,7 @@ MIDDLE = (0.025, 0.975)  # the quantiles between which 95 % of the draws lie
 STEP = ("incremental cost", "incremental effect", "ICER")
 WTP = "willingness to pay"
 BASE = "held in the base case"
+NO_PARAMETER = "held, as a plain model has no parameters of them; a Family may"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -296,6 +297,9 @@ class CostEffectiveness(Pictured):
         tables["chances"] = chances
         drawn = {part.label: part.kind for part in self.uncertainty.parts}
         count, assumed = len(self.draws), self.uncertainty
+        held = None
+        if NO_PARAMETER in assumed.fixed.values():
+            held = f"{', '.join(self.components)}: {NO_PARAMETER}"
         facts = {
             "claim": self.claim,
             **self._list_error_facts(),
@@ -304,7 +308,7 @@ class CostEffectiveness(Pictured):
             "effect": self.components[0],
             "cost": self.components[1],
             "drawn": Shown(drawn, f"{len(drawn)} distributions" if drawn else None),
-            "fixed": Shown(assumed.fixed),
+            "fixed": Shown(assumed.fixed, held),
             "assumed": Shown(assumed.assumed, assumed.assumption or None),
             "strategies": Shown(list(self.strategies)),
             "icers": Shown(rows.to_dict("records")),
@@ -555,6 +559,9 @@ def cost_effectiveness(
     else:
         family = drawn_family(model)
         chosen = uncertainty(family, uncertain)
+        if isinstance(model, MDP):
+            amounts = dict.fromkeys((effect, cost), NO_PARAMETER)
+            chosen = replace(chosen, fixed={**chosen.fixed, **amounts})
         solver = ModelSolver(family, chosen.names)
         draws = sample_parameters(family, chosen, n, seed, solver.block)
     for name in (effect, cost):
