@@ -69,7 +69,8 @@ def test_a_negative_gamma_is_mirrored() -> None:
 @pytest.mark.parametrize(
     ("fit", "ends"),
     [(fit_lognormal, (0, 1)), (fit_gamma, (-1, 1)), (fit_gamma, (0, 1)), (fit_beta, (0, 0.5)),
-     (fit_gamma, (-1, 0)), (fit_beta, (0.5, 1)), (fit_beta, (0, 1)), (fit_beta, (0.5, 1.5)),
+     (fit_gamma, (-1, 0)), (fit_beta, (0.5, 1)), (fit_beta, (0, 1)), (fit_beta, (1e-20, 1)),
+     (fit_beta, (0.5, 1.5)),
      (fit_beta, (0.5, 0.5)), (fit_beta, (0.5, 0.5 + 1e-9)), (fit_gamma, (1, 1 + 1e-9))],
 )  # fmt: skip
 def test_there_is_none_elsewhere(fit, ends) -> None:
