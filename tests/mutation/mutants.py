@@ -385,7 +385,9 @@ def main(
         )
     which: dict[str, Any] = {"only_beside": only_beside, "only_listed": only_listed, "every": every}
     mutants = Mutants(modules, **which, workers=workers, verbose=verbose)
-    pytest.main([*OPTIONS, *sorted(map(str, tests))], plugins=[mutants])
+    status = pytest.main([*OPTIONS, *sorted(map(str, tests))], plugins=[mutants])
+    if status == pytest.ExitCode.INTERNAL_ERROR:
+        raise click.ClickException("nothing was tried, and the list is as before")
     print(table(mutants.results, only_beside))
     if every == 1:
         write_list(mutants.results)

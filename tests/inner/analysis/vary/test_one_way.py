@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from exact_mdp import MDP, Family, ModelError, Parameter, moving, one_way, tornado, two_way
 from exact_mdp.analysis.vary.one_way import make_grid
@@ -134,7 +135,7 @@ def test_a_tornado_of_two_policies_has_the_differences_of_their_values(sense: st
     title = "start value at both ends, policy held fixed, less the value of the other"
     assert (table.title, table.columns["at low"]) == (title, "difference_low:.6g")
     assert "difference" not in alone.report().facts
-    ax = found.plot()
+    ax = found.plot(Figure().subplots())
     assert ax.lines[0].get_xdata()[0] == today.value
     assert "less the other" in ax.get_xlabel()
     with pytest.raises(ModelError, match="output"):
