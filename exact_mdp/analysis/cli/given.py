@@ -268,7 +268,7 @@ class Given:
 
         "optimal" is the optimum for the true states, also under a perception.
         """
-        # Of two policies, such as those of a tornado, one may be an array.
+        # Of two policies, as in a tornado, one may be an array.
         files = {each: find_policy_format(each) for each in (form, self.policy or form)}
         arrays = [each for each, file in files.items() if file and "kind" in file.options]
         if self.kind != "auto" and not arrays:

@@ -4,8 +4,8 @@ A point gives values to some parameters; the others keep today's values. At each
 is found (the policy re-optimised) and each given policy is evaluated (held fixed). Tornado, grid,
 Sobol indices and probabilistic analyses are designs of points and summaries of their tables. They
 compare values, so infinite ones, at discount 1, are refused. The models of many points are one
-stacked model where that is possible (`solvers.stacked`), and that of a care scenario is made
-without them (`solvers.care`); other models are solved one by one. Blocks of points have a fixed
+stacked model where that is possible (`solvers.stacked`), and care scenarios are stacked without
+them (`solvers.care`); other models are solved one by one. Blocks of points have a fixed
 size, so that any number of workers gives the same bytes.
 """
 

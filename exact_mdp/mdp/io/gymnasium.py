@@ -112,8 +112,8 @@ class FromGymnasium(FromFunction):
         Raises
         ------
         ModelError
-            If the environment is unknown, if it has no `P` and is not deterministic given what it
-            observes, if `P` is not a table of distributions over its own states, or if step() or
+            If the environment is unknown, if it has no `P` and is not deterministic given its
+            observation, if `P` is not a table of distributions over its own states, or if step() or
             reset() differs from `P`.
 
         Examples

@@ -186,7 +186,7 @@ class RobustAverages:
 
     @cached_property
     def _graph(self) -> PairGraph:
-        """The graph of the pairs; that of a policy has one for each state."""
+        """The graph of the pairs; a policy has one pair for each state."""
         if self.weights is None:
             return PairGraph.of(self.given)
         return PairGraph.of(PolicyChain.of(self.given, self.weights).model)
