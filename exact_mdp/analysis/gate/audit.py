@@ -29,7 +29,7 @@ from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.questions.ending import describe_sense
 from exact_mdp.mdp.questions.horizon import count_steps, describe_time_limit
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
+from exact_mdp.mdp.result import DataFrame, Judged, data_frame
 from exact_mdp.mdp.space import TIME
 from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.bounds.bounds import Bounds
@@ -50,7 +50,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Audit(Pictured):
+class Audit(Judged):
     """The loss of a policy against the optimum: how much, where and why.
 
     `audit.regret` compares and formats as a number, the regret at the start; `float(audit)` is this
