@@ -14,6 +14,7 @@ import errno
 import io
 import json
 import os
+import re
 import signal
 import sys
 import traceback
@@ -73,8 +74,44 @@ def refuse_exit() -> Iterator[None]:
         raise NoAnswer(f"{said} was called before there was an answer") from end
 
 
-class Programs(click.Group):
+class StrictCommand(click.Command):
+    """A command that refuses an option given twice, of which click would take the last."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words; raise ModelError if two values are given for one thing."""
+        if not ctx.resilient_parsing:
+            for option, given in self._list_values(ctx, args).items():
+                twice = [each for each in given if given.count(each) > 1]
+                if twice:
+                    raise ModelError(
+                        f"{f'{option} {twice[0]}'.strip()} is given twice",
+                        where=option,
+                        fix="give it once",
+                    )
+        return super().parse_args(ctx, args)
+
+    def _list_values(self, ctx: click.Context, args: list[str]) -> dict[str, list[str]]:
+        """Return for each option, flags apart, the names to which values were given, as KEY=VALUE.
+
+        The name is empty in an option of one value.
+        """
+        values, _, order = self.make_parser(ctx).parse_args(args=[*args])
+        named = dict[str, list[str]]()
+        for each in order:
+            if not isinstance(each, click.Option) or each.is_flag:
+                continue
+            if not each.multiple:
+                named.setdefault(each.opts[0], []).append("")
+            elif re.match(r"\w+=\w", each.metavar or ""):
+                texts = [text.partition("=") for text in values[each.name] if "=" in text]
+                named[each.opts[0]] = [key.strip() for key, _, _ in texts]
+        return named
+
+
+class Programs(StrictCommand, click.Group):
     """A group of commands that is a program of its own, with the exit statuses of this module."""
+
+    command_class = StrictCommand
 
     def main(
         self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: Any, **__: Any

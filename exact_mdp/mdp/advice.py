@@ -1,9 +1,12 @@
-"""Advice for models whose total is infinite or has no limit: where, and what to ask instead."""
+"""Advice for models whose total says nothing or is infinite: where, and what to ask instead."""
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
+from exact_mdp.mdp.components import REST
 from exact_mdp.mdp.errors import FEW_NAMED, ModelError, join_few
 from exact_mdp.mdp.model import MDP
 
@@ -56,3 +59,19 @@ def require_termination(mdp: MDP) -> None:
         said = "discount 1 needs every policy to end, and some policy does not"
         ways.append("add a way out: a terminal state stays put and earns 0")
     raise ModelError(said, where=where_endless(mdp), fix=ways_out(mdp, *ways))
+
+
+def warn_of_zero_reward(mdp: MDP) -> None:
+    """Warn that all values are 0 as no outcome earns a reward, if some component says more."""
+    amounts = mdp.table.components
+    if amounts is None or np.asarray(mdp.table.gain != 0).any():
+        return
+    says = np.flatnonzero(np.any(amounts != 0, axis=0)).tolist()
+    names = [mdp.component_names[n] for n in says if mdp.component_names[n] != REST]
+    if names:
+        warnings.warn(
+            f"the reward is 0 everywhere, so all values are 0; the components {', '.join(names)} "
+            f"do not count unless one is asked for: mdp.earning({names[0]!r}), of a family "
+            f"family.with_question(lambda model: model.earning({names[0]!r})), --reward {names[0]}",
+            stacklevel=3,
+        )

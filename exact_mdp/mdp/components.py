@@ -259,11 +259,12 @@ def named_components(
     # Bring each component into one form: by outcome, and then by pair if its outcomes agree.
     columns = {}
     for name, values in every.items():
-        if values.ndim == 2:
-            values = np.asarray(values[table.pair, table.next])
-        elif given:
-            values = np.asarray(values)[table.pair]
-        top, bottom = _by_pair_if_alike(np.array(values), table)
+        if given and values.ndim == 1:
+            top, bottom = group_numbers(np.array(values), np.arange(table.pairs + 1))
+        else:
+            if values.ndim == 2:
+                values = np.asarray(values[table.pair, table.next])
+            top, bottom = _by_pair_if_alike(np.array(values), table)
         if top.dtype == np.float64 and not np.isfinite(top).all():
             what = f"an amount is {top[~np.isfinite(top)][0]}"
             raise ModelError(what, where=f"component {name}", fix="give a finite number")

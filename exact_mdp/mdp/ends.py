@@ -2,8 +2,8 @@
 
 A run ends in a terminal state: every action stays there, and earns 0. In a model with a goal it
 should end there; at discount 1 a run that ends outside the goal, or never ends, has missed it, and
-is worth `unreached`, which is +∞ or -∞. Without a goal a run that never ends is worth what it
-earns, and that may be without bound.
+is worth `unreached`, which is +∞ or -∞. Without a goal a run that never ends is worth all
+that it earns, perhaps without bound.
 
 Every policy ends, that is, reaches a terminal state with probability 1 from every state, if and
 only if no set of other states exists in which some policy can stay forever. To find the greatest

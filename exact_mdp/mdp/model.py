@@ -241,7 +241,8 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
         Returns
         -------
         DataFrame
-            One row for each outcome: state, action, next state, probability, reward.
+            One row for each outcome: state, action, next state, probability, reward, and its
+            components if it has several; costs are a column "cost" unless they have components.
 
         Raises
         ------
@@ -263,19 +264,24 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
             pairs += self.pairs_of(state)
         return self._frame_outcomes(pairs)
 
-    def _frame_outcomes(self, pairs: Iterable[int]) -> DataFrame:
-        """Return the outcomes of some pairs as a table."""
-        label = self.space.plain_label
+    def _frame_outcomes(self, pairs: Iterable[int], *, with_parts: bool = True) -> DataFrame:
+        """Return the outcomes of some pairs as a table, with their components if there are any."""
+        label, parts, amount = self.space.plain_label, tuple[str, ...](), self.sense.amount
+        if with_parts and self.table.components is not None:
+            parts, amount = self.component_names, Sense.MAX.amount
+        tables = [self.table, *map(self.table.with_component_reward, range(len(parts)))]
         rows = []
         for pair in pairs:
             state, action = label(self.pair_state[pair]), self.actions[self.pair_action[pair]]
-            for probability, after, reward in self.table.row(pair):
-                rows.append((state, action, label(after), probability, reward))
-        names = ["state", "action", "next state", "probability", self.sense.amount]
+            for outcome in zip(*(table.row(pair) for table in tables), strict=True):
+                probability, after, _ = outcome[0]
+                amounts = (each for _, _, each in outcome)
+                rows.append((state, action, label(after), probability, *amounts))
+        names = ["state", "action", "next state", "probability", amount, *parts]
         return data_frame(rows, columns=names)
 
     def _repr_html_(self) -> str:
-        few = self._frame_outcomes(range(min(self.n_pairs, ROWS_SHOWN)))
+        few = self._frame_outcomes(range(min(self.n_pairs, ROWS_SHOWN)), with_parts=False)
         return plain_report(self, few, len(self.table.next)).html(ROWS_SHOWN)
 
     @property

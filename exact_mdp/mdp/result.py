@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.report import Report, Table
 
 if TYPE_CHECKING:
@@ -79,6 +80,17 @@ class Pictured(Result):
 
         drawn: Axes = exact_mdp.draw(self, ax=ax, **settings)
         return drawn
+
+
+class Judged(Pictured):
+    """A result with a verdict, `passed`. It is not a condition itself: a failed one would hold."""
+
+    def __bool__(self) -> bool:
+        raise ModelError(
+            f"{type(self).__name__} is neither true nor false",
+            where="condition",
+            fix="write .passed behind it: assert check(model, policy, max_regret=0.1).passed",
+        )
 
 
 def data_frame(*content: Any, **settings: Any) -> DataFrame:

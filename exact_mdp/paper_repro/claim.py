@@ -217,7 +217,7 @@ def judge_by_chance(chance: float, why: str, **more: Any) -> Finding:
 
 
 def format_chance(chance: float) -> str:
-    """Return a probability for reading; what is smaller than any float is not printed as 0.
+    """Return a probability for reading; a smaller one than any float is not printed as 0.
 
     >>> format_chance(0.01), format_chance(0.0)
     ('p = 0.01', 'p < 1e-300')

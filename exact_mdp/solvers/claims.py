@@ -68,15 +68,35 @@ class Status(StrEnum):
         "the optimiser did not reach an optimum of the linear program; "
         "try another one, or PolicyIteration"
     )
+    # With sets of rows, which certify() does not know:
+    SETS_PRECISION = (
+        "double precision reaches its limit above the tolerance; "
+        "allow a larger tol in solve_robust(), or keep to the bounds, which hold"
+    )
+    SETS_ITERATION_LIMIT = (
+        "the iteration limit was reached first; "
+        "raise max_iterations in solve_robust(), or allow a larger tol"
+    )
+    SETS_NO_BOUND = (
+        "double precision cannot bound the error with these sets of rows; "
+        "scale the rewards if they are large, else choose smaller sets, or a lower discount"
+    )
+
+    @property
+    def with_sets(self) -> Status:
+        """The status that says what helps with sets of rows."""
+        return Status.__members__.get(f"SETS_{self.name}", self)
 
 
 class PrecisionWarning(UserWarning):
     """The tolerance is beyond double precision; the error bound says how near the result came."""
 
 
-def warn_of_precision(error: float, *, stacklevel: int = 2) -> None:
+def warn_of_precision(
+    error: float, *, status: Status = Status.PRECISION, stacklevel: int = 2
+) -> None:
     """Issue a PrecisionWarning; `stacklevel` is 2 for the line that called the caller."""
-    message = f"the error bound is {error:.2g}: {Status.PRECISION}"
+    message = f"the error bound is {error:.2g}: {status}"
     warnings.warn(message, PrecisionWarning, stacklevel=stacklevel + 1)
 
 

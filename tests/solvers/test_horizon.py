@@ -16,6 +16,7 @@ from exact_mdp import (
     Policy,
     certify,
     check,
+    cohort_trace,
     evaluate,
     fingerprint,
     load,
@@ -112,6 +113,16 @@ def test_without_a_step_a_value_is_the_terminal_one_and_home_is_where_one_is() -
     assert simulate(mdp, "random", 5, 0, horizon=0).truncated == 5
 
 
+@pytest.mark.parametrize("steps", [0, 1, 2])
+def test_a_horizon_is_called_by_its_number_of_steps_with_a_terminal_value_or_not(
+    steps: int,
+) -> None:
+    for end in (None, [3, -1, 2]):
+        asked = walk().within(steps, terminal_value=end)
+        assert f", horizon {steps}, start" in str(check(asked, "random"))
+        assert len(cohort_trace(asked, "random").frame()) == steps + 1
+
+
 def test_a_probability_earns_no_terminal_value(tmp_path: Path) -> None:
     mdp, end = walk(), {"a": 5}
     with pytest.raises(ModelError, match="probability"):
@@ -165,8 +176,11 @@ COMMANDS = {
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_says_once_that_it_leaves_the_limit_out(command: str, tmp_path: Path) -> None:
     words = (command, f"gymnasium:{LAKE}", *COMMANDS[command], "--json")
-    within = run(*words, "--horizon", "20")
-    assert (within.err, strict(within.out)["horizon"]) == ("", 20)
+    within = run(*words, "--horizon", "100")
+    assert (within.err, strict(within.out)["horizon"]) == ("", 100)
+    other = run(*words, "--horizon", "20").err
+    said = "the environment stops after 100 steps; this answer is for episodes of 20 steps"
+    assert other.count(f"{said}: --horizon 100") == 1
     if command == "returns":  # for discount 1 alone
         assert sum(within.result["distribution"].values()) == pytest.approx(1, abs=1e-12)
         return

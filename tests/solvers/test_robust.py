@@ -274,8 +274,34 @@ def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
     sets = Intervals.relative(mdp, 0.1)
     with pytest.raises(SolverError, match="iteration limit"):
         solve_robust(mdp, sets, max_iterations=1, tol=1e-9)
-    with pytest.warns(PrecisionWarning):
-        solve_robust(mdp, sets, tol=1e-17)
+    with pytest.warns(PrecisionWarning, match=r"larger tol in solve_robust\(\), or keep") as told:
+        assert "certify" not in str(solve_robust(mdp, sets, tol=1e-17))
+    assert told[0].filename == __file__
+
+
+HALF, HUGE, LATE = (
+    MDP.from_arrays([[[1 - p, p], [0, 1]]], [reward, 0])
+    for p, reward in ((F(1, 2), 1), (F(1, 2), F(10) ** 308), (F(1, 10**15), 1))
+)
+
+
+@pytest.mark.parametrize(
+    "mdp, asked, advice, changed, then",
+    [
+        (HALF, {"max_iterations": 1}, "raise max_iterations", HALF, {"max_iterations": 9}),
+        (HALF, {"max_iterations": 1}, "allow a larger tol", HALF, {"max_iterations": 1, "tol": 9}),
+        (HUGE, {}, "scale the rewards if they are large", HALF, {}),
+        (LATE, {}, "a lower discount", LATE.with_(discount="99/100"), {}),
+    ],
+)
+def test_what_is_advised_works_with_sets(
+    mdp: MDP, asked: Any, advice: str, changed: MDP, then: Any
+) -> None:
+    """certify() takes no sets."""
+    with pytest.raises(SolverError, match=advice) as caught:
+        solve_robust(mdp, Intervals.relative(mdp, "1/10"), **asked)
+    assert "certify" not in str(caught.value)
+    assert solve_robust(changed, Intervals.relative(changed, "1/10"), **then).start.error >= 0
 
 
 @pytest.mark.parametrize("discount", ["99/100", "99999/100000"])

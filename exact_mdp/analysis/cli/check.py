@@ -128,6 +128,7 @@ def check_command(
     """
     started = perf_counter()
     ci.append_summary("")  # fails here, before any work, if nothing can be written there
+    given = given.with_limits(subject_to)
     asked: dict[str, Any] = {
         "max_regret": max_regret,
         "max_relative_regret": max_relative_regret,

@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from exact_mdp.analysis.exit_status import StrictCommand
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io import formats
 from exact_mdp.mdp.io.files import redirect_output
@@ -267,7 +268,7 @@ def _read_dict_keys(match: re.Match[str]) -> str:
     raise LookupError(match[0])
 
 
-class Command(click.Command):
+class Command(StrictCommand):
     """A command whose help lists its options in sections: own, model, work and output."""
 
     shared: Sequence[str] = ()

@@ -21,8 +21,10 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.choices import find_policy_format
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.questions import reduce_model
 from exact_mdp.mdp.questions.horizon import describe_time_limit
 from exact_mdp.mdp.questions.origin import Question
+from exact_mdp.mdp.questions.until import Component
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.solvers.arguments import Criterion, is_average, require_no_horizon
@@ -32,10 +34,11 @@ OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is not a scenario
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "start")
 
 
-def pose_question(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
+def pose_question(mdp: MDP, *, asked: dict[str, Any], limited: bool = False) -> MDP:
     """Return the model whose optimal value answers the question of --reach, --until and others.
 
-    A probability is maximised unless --minimize is given, also in a model of costs.
+    A probability is maximised unless --minimize is given, also in a model of costs. If it is
+    `limited`, the components that do not count remain, so that limits can name them.
     """
     changes = {}
     if asked["start"] is not None:
@@ -47,7 +50,7 @@ def pose_question(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
     if changes:
         mdp = mdp.with_(**changes)
     if asked["reward"] is not None:
-        mdp = mdp.earning(asked["reward"])
+        mdp = reduce_model(mdp, Component(asked["reward"], others=limited))
     if asked["reach"] is not None:
         return mdp.reaching(asked["reach"], asked["allowed"])
     if asked["until"] is not None:
@@ -64,6 +67,8 @@ class Given:
     model : MODEL
     has : sequence of str
         The options that the command has.
+    limited : bool
+        Whether there are limits on components.
     parameters : NAME, optional
         Vary only this parameter. Unless given, all parameters of MODEL vary.
     ranges : NAME=LOW:HIGH, optional
@@ -88,9 +93,10 @@ class Given:
     until : LABEL, optional
         Ask for the greatest expected reward until a label; for costs, the least.
     reward : NAME, optional
-        The component of the reward that counts; all together unless given.
+        The component of the reward that counts, beside which limits may name others; all together
+        unless given.
     allowed : LABEL, optional
-        Reach it through states of this label only.
+        With --reach: only along states with this label.
     minimize : bool
         Minimise: rewards are costs. For a probability, ask for the least.
     maximize : bool
@@ -126,6 +132,7 @@ class Given:
 
     model: str
     has: Collection[str] = ()
+    limited: bool = False
     parameters: Sequence[str] = ()
     ranges: Sequence[str] = ()
     relative: str | None = None
@@ -188,13 +195,21 @@ class Given:
             start=self.start,
         )
 
+    def with_limits(self, limited: object) -> Given:
+        """Return the same; if there are limits, the model keeps all components for them."""
+        if not limited:
+            return self
+        given = replace(self, limited=True)
+        vars(given)["loaded"] = self.loaded
+        return given
+
     @cached_property
     def question(self) -> partial[MDP] | None:
         """The function that makes the model of the question; None if no option asks one."""
         asked = {name: getattr(self, name) for name in QUESTION}
         if not {*asked.values()} - {None, False}:
             return None
-        return partial(pose_question, asked=asked)
+        return partial(pose_question, asked=asked, limited=self.limited)
 
     @cached_property
     def asked(self) -> MDP:
@@ -253,7 +268,7 @@ class Given:
 
         "optimal" is the optimum for the true states, also under a perception.
         """
-        # Of two policies, such as those of a tornado, one may be an array.
+        # Of two policies, as in a tornado, one may be an array.
         files = {each: find_policy_format(each) for each in (form, self.policy or form)}
         arrays = [each for each, file in files.items() if file and "kind" in file.options]
         if self.kind != "auto" and not arrays:

@@ -98,18 +98,18 @@ def info_command(given: Given) -> Report:
 
     Keys
     ----
-    title: the scenario's title; source: where its numbers come from; columns: the columns of the
-    state space, with the number of values of each; reachable: states that can be reached from the
-    start; terminal: states in which the process has ended; with_choice: states with more than one
-    action; actions: number of actions; action_names: names of the actions; discount_exact: the
-    discount, "p/q"; start: where episodes begin, as [state, probability]; terminates: whether every
-    policy reaches the end; never_ends: a policy and a state from which it never ends, if there is
-    one; acyclic: whether no state can be reached from itself; time_limit: the environment's own
-    limit of steps, or null; labels: the labels, with the number of states of each;
-    reward_components: the components of the reward; events: the events of transitions; statuses:
-    the statuses of a scenario; tasks: its number of subtasks, task by task; max_trial: trials
-    before a subtask is skipped; readings: choices where the text is open; parameters: named numbers
-    and their values.
+    title: the scenario's title; source: where the scenario's numbers come from; columns: the
+    columns of the state space, with the number of values of each; reachable: states that can be
+    reached from the start; terminal: states in which the process has ended; with_choice: states
+    with more than one action; actions: number of actions; action_names: names of the actions;
+    discount_exact: the discount, "p/q"; start: where episodes begin, as [state, probability];
+    terminates: whether every policy reaches the end; never_ends: a policy and a state from which it
+    never ends, if there is one; acyclic: whether no state can be reached from itself; time_limit:
+    the environment's own limit of steps, or null; labels: the labels, with the number of states of
+    each; reward_components: the components of the reward; events: the events of transitions;
+    statuses: the statuses of a scenario; tasks: the number of subtasks of each task; max_trial:
+    trials before a subtask is skipped; readings: choices where the text is open; parameters: named
+    numbers and their values.
     """
     mdp, scenario = given.mdp, given.loaded.scenario
     ends = mdp.ends.every_policy_ends
@@ -201,8 +201,8 @@ def data_command(
     ----
     episodes: number of episodes; transitions: number of recorded transitions; actions: number of
     actions; ends: states that were only entered, taken for ends; n_never_taken: number of actions
-    that nobody took in a state; never_taken: the first 1,000 of these; rare: pairs that were seldom
-    seen; cut_off: number of truncated episodes; cut_off_states: states where episodes were
+    that nobody took in a state; never_taken: the first 1,000 such actions; rare: pairs that were
+    seldom seen; cut_off: number of truncated episodes; cut_off_states: states where episodes were
     truncated and that no record leaves.
     """
     names = pairs_of(columns, "--column", "NAME=COLUMN")

@@ -104,6 +104,7 @@ def solve_command(
     solver ended; limits: the limits, as they were given; totals: what the policy attains of each
     limited total, "p/q"; regret_bound: greatest loss of the policy.
     """
+    given = given.with_limits(subject_to)
     mdp, average = given.mdp, given.criterion == "average"
     proof: Any
     if subject_to:
@@ -168,9 +169,11 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
     optimal_value: the optimal value at the start; learned_value: the value of the policy at the
     start.
     """
-    mdp = given.mdp
+    mdp = given.mdp  # read first, as both files may be given in the wrong order
     # The checker, and with --proven a second one, judge the file against the model.
-    proof = replace(codec.load_proof(KINDS, certificate), mdp=mdp)
+    proof = codec.load_proof(KINDS, certificate)
+    mdp = given.with_limits(isinstance(proof, ConstrainedSolution)).mdp
+    proof = replace(proof, mdp=mdp)
     violations = proof.violations(mdp)
     if proven and not is_accepted_by_proven_checker(proof, mdp) and not violations:
         violations = ["the checker whose soundness is proven does not accept it"]

@@ -76,7 +76,7 @@ def rationalize_command(given: Given, policy: Policy) -> Report:
     Keys
     ----
     Of Rationalization.
-    change: the least such relative change, "p/q".
+    change: the least relative change of the weights, "p/q".
     """
     found = exact_mdp.rationalize(given.mdp, policy, criterion=given.criterion)
     return given.complete_report(found.report())
@@ -135,9 +135,6 @@ def ce_command(
     if not named:
         fix = "write --strategy usual=always:none --strategy new=FILE"
         raise ModelError("there is no strategy", where="--strategy", fix=fix)
-    if len(named) < len(strategies):
-        fix = "give each strategy a name of its own"
-        raise ModelError("two strategies have one name", where="--strategy", fix=fix)
     held = {name: given.policy_from(form) for name, form in named.items()}
     if reference is not None:
         require_known_name(reference, held, "strategy", "--reference")
@@ -234,7 +231,7 @@ def perception_command(
     perception : FILE, optional
         A file: {formats:PERCEPTIONS}.
     accuracy : X, optional
-        Each status is read correctly with this probability instead.
+        Instead of a file: the probability with which each status is perceived correctly.
     policy : POLICY
         The policy that takes the perceived status for true.
 

@@ -63,14 +63,14 @@ def train_command(
     learner's settings; columns: the columns that the learner reads; optimal_value: the optimal
     value at the start; optimal_value_error: error bound of the optimal value; value_claim: claim of
     the values of the policies; random_value: the value of random actions; best_value_upper_bound:
-    an upper bound on the best value; best_value_proven: whether that bound is the best value;
+    an upper bound on the best value; best_value_proven: whether the upper bound is the best value;
     best_fraction_interval: 95 % interval of `best_fraction`; optimal_fraction_interval: 95 %
     interval of `optimal_fraction`; regret: regret of the policies learned, as mean, quantiles,
     intervals; learning_error: loss against the best over the columns; selected: regret and
     optimal_fraction of the best policy that each run met; first_run: the policies that were greedy
     most often in the last episodes of the first run; policies: the distinct policies with their
     counts and exact values; distinct_in_last: number of policies at the end of a run;
-    changed_in_last: how often the action of each status changes there.
+    changed_in_last: how often the action of each status changes in the last episodes.
     """
     mdp, stated = given.mdp, settings_of(QLearning, learner, "--learner")
     if stated.get("columns") == ("all",):

@@ -62,7 +62,7 @@ def tornado_command(given: Given, *, against: str | None = None) -> Report:
     ----
     difference: value of the policy held fixed less the value of the other one;
     bars: each parameter with both ends of its range, both values, both regrets; policy_value: the
-    value of the policy held fixed; regret: loss of that policy at the start.
+    value of the policy held fixed; regret: its loss against the optimum.
     """
     spans, without = _select_ranges(given)
     other = None if against is None else given.policy_from(against)
@@ -143,7 +143,7 @@ def curve_command(
     max_regret : X, optional
         Find where the policy loses at most X: 0.1 or 1/10.
     max_relative_regret : X, optional
-        The same, over the absolute optimal value.
+        Find where its regret over the absolute optimal value is at most X.
 
     Keys
     ----
@@ -261,7 +261,8 @@ def psa_command(
     policies that were optimal in some draw; p_optimal: how often each action is optimal, status by
     status; evpi: expected value of perfect information; evpi_bounds: lower and upper estimates,
     without the bias of the sample; evpi_of_candidates: EVPI if only the candidates can be chosen;
-    evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
+    evppi: expected value of knowing each parameter alone; evppi_details: how
+    each `evppi` was estimated.
     """
     plain = given.loaded.scenario is None
     if plain:
@@ -307,7 +308,7 @@ def sobol_command(
     draws; sd: standard deviation of the optimal value over the draws; first_order: share of the
     variance that a parameter explains alone; first_order_interval: interval of `first_order`;
     total: share of the variance including all interactions with others; total_interval: interval of
-    `total`; regret: the same indices for the regret of a policy held fixed.
+    `total`; regret: these indices for the regret of a policy held fixed.
     """
     spans, without = _select_ranges(given, _choose_parameters(given))
     if not spans:
@@ -343,13 +344,13 @@ def robust_command(
         What may move: each probability by a share, each row within a distance (l1, kl), or the
         tables' numbers (box).
     radius : X, optional
-        How far it may move, except in a box.
+        How far a row may move (interval, l1, kl).
 
     Keys
     ----
-    set_kind: what may move; radius: how far it may move; nature: who chooses the probabilities, and
-    when; worst_case: optimal value in the worst case, with its policy, or for `box`, the value of
-    the fixed policy at the worst point found, `point`; best_case: the optimal value in the best
+    set_kind: what may move; radius: how far a row may move; nature: who chooses the probabilities,
+    and when; worst_case: optimal value in the worst case, with its policy, or for `box`, the value
+    of the fixed policy at the worst point found, `point`; best_case: the optimal value in the best
     case; worst_case_gain: gain of the robust policy in the worst case; robust_policy_value: value
     of the robust policy if the tables are right; price_of_robustness: loss of the robust policy if
     the tables are right (like the gain, null if both values are infinite); policy_changes: states

@@ -27,9 +27,9 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.questions.ending import describe_sense
-from exact_mdp.mdp.questions.horizon import describe_time_limit
+from exact_mdp.mdp.questions.horizon import count_steps, describe_time_limit
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
+from exact_mdp.mdp.result import DataFrame, Judged, data_frame
 from exact_mdp.mdp.space import TIME
 from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.bounds.bounds import Bounds
@@ -50,7 +50,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Audit(Pictured):
+class Audit(Judged):
     """The loss of a policy against the optimum: how much, where and why.
 
     `audit.regret` compares and formats as a number, the regret at the start; `float(audit)` is this
@@ -446,7 +446,7 @@ class Audit(Pictured):
         space = self.mdp.space
         steps = ""
         if space.untimed is not None:
-            steps = f", horizon {space.columns[0].size - 1}"
+            steps = f", horizon {count_steps(self.mdp)}"
         read = self.policy.source or "a policy"
         sums, sense = self.criterion.sums, describe_sense(self.mdp)
         if sense:
@@ -518,7 +518,7 @@ class Audit(Pictured):
                 lines.append(
                     f"  {cell['state']}: yours {cell['learned']}, optimal "
                     f"{format_alternatives(cell['optimal'])}, at {cell['times']} of "
-                    f"{self.mdp.space.columns[0].size - 1} times; loses {cell['cost']:.6g}"
+                    f"{count_steps(self.mdp)} times; loses {cell['cost']:.6g}"
                 )
             if len(self.cells) > most:
                 cost = sum(cell["cost"] for cell in self.cells[most:])

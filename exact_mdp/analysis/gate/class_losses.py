@@ -24,6 +24,8 @@ from exact_mdp.mdp.graph import find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
+from exact_mdp.solvers.endless.improper import ImproperPolicies
+from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import compute_surpluses
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -131,6 +133,8 @@ def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int
     if not mdp.ends.has_improper_policy or len(pairs) < 2:
         return pairs
     sign, stays = best.infinite_sign, chain_of_pairs(mdp, best.pairs).classes.recurrent
+    if sign[state] > 0:
+        return [pair for pair in pairs if pair == best.pairs[state] or _earns_forever(mdp, pair)]
     if stays[state] or sign[state] < 0:
         return pairs
     # States from which optimal pairs of other states lead to where the optimum may stay.
@@ -139,15 +143,20 @@ def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int
     choice = sp.csr_array((np.ones(len(used)), (mdp.pair_state[used], used)), shape)
     free = find_zero_reward_pairs(mdp, best, optimal)
     stays = stays | np.logical_or.reduceat(free, mdp.pair_offsets[:-1])
-    arrives = find_reachable_nodes(
-        (choice @ mdp.transition).T.tocsr(), stays & (sign == sign[state])
-    )
+    arrives = find_reachable_nodes((choice @ mdp.transition).T.tocsr(), stays & (sign == 0))
     arrives[state] = False
     attaining = []
     for pair in pairs:
         if free[pair] or arrives[mdp.transition[[pair]].indices].any():
             attaining.append(pair)
     return attaining or pairs
+
+
+def _earns_forever(mdp: MDP, pair: int) -> bool:
+    """Return whether a state is worth +∞ to some policy that takes a pair of it each time."""
+    state = mdp.pair_state[pair]
+    kept = (mdp.pair_state != state) | (np.arange(mdp.n_pairs) == pair)
+    return bool(ImproperPolicies(of_pairs(mdp.maximised, np.flatnonzero(kept))).sign[state] > 0)
 
 
 def find_zero_reward_pairs(mdp: MDP, best: Certificate, optimal: Flags) -> Flags:

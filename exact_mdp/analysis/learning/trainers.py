@@ -42,7 +42,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
+from exact_mdp.mdp.result import DataFrame, Judged, data_frame
 from exact_mdp.mdp.table import format_rational
 from exact_mdp.mdp.validate import as_share, require_count
 from exact_mdp.solvers.arguments import mdp_of
@@ -55,7 +55,7 @@ Interval = tuple[Fraction, Fraction]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class TrainerAudit(Pictured):
+class TrainerAudit(Judged):
     """Which runs of a trainer gave a policy within the limits, and what share of all seeds does."""
 
     names: tuple[Any, ...]  # the name of each run: its seed, or its number

@@ -82,7 +82,7 @@ def plot_transitions(
     count = sum(len(model.table.row(pair)) for pair in drawn)
     if count > MANY:
         raise _too_much(
-            f"{count:,} outcomes", f"at most {MANY}: those of a policy, or fewer states"
+            f"{count:,} outcomes", f"at most {MANY}: the outcomes of a policy, or fewer states"
         )
     # One node for each state, one for each action, and an edge for each outcome.
     graph, names = nx.DiGraph(), state_names(model.space)
@@ -232,7 +232,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     font = 9
     if is_narrow(ax):
         font = COLUMN_SIZE
-    radius = 5 * font  # points: what is written in a circle fits
+    radius = 5 * font  # points: the text in a circle fits
     for status in scenario.statuses:
         numbers = [float(scenario[f"{kind}.{status}"]) for kind in ("base", "persistence")]
         text = "{}\nsets in {:.0%}\nstays {:.0%}".format(status, *numbers)

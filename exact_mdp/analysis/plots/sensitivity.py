@@ -476,7 +476,10 @@ def _draw_plane(
     ax.yaxis.set_major_formatter("{x:,.10g}")
     effect, cost = analysis.components
     x_words, y_words = (f"{word} more than {names[one]}" for word in (effect, cost))
-    return label_axes(ax, "Cost-effectiveness plane", x=x_words, y=y_words)
+    title = "Cost-effectiveness plane"
+    if len(effects) > 2:
+        title += ", ellipses of 95 %"
+    return label_axes(ax, title, x=x_words, y=y_words)
 
 
 @apply_style

@@ -738,8 +738,11 @@ def _read_parameter_distribution(
     if INTERVAL in settings:
         ends: Any = settings[INTERVAL]
         if said or not isinstance(ends, list | tuple) or len(ends) != 2:
-            fix = "write interval = [low, high], without other numbers"
-            raise ModelError(f"an interval {ends!r:.60}", where=f"parameter {name}", fix=fix)
+            what = f"an interval {ends!r:.60}"
+            if said:
+                what += f" beside {' and '.join(said)}"
+            fix = "write interval = [low, high] alone: it states the whole distribution"
+            raise ModelError(what, where=f"parameter {name}", fix=fix)
         return Uncertain.of_interval(name, kind, *(_parse_number(x, INTERVAL, name) for x in ends))
     if not said and kind == "beta":
         said = {SIZE: default}

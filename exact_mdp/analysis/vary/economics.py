@@ -18,8 +18,10 @@ neighbours.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from itertools import pairwise
 from typing import Any, Self
 
@@ -60,6 +62,10 @@ MIDDLE = (0.025, 0.975)  # the quantiles between which 95 % of the draws lie
 STEP = ("incremental cost", "incremental effect", "ICER")
 WTP = "willingness to pay"
 BASE = "held in the base case"
+NO_PARAMETER = (
+    "held, as a plain model has no parameters of them, and each row varies alone; "
+    "a Family can do more"
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -296,6 +302,9 @@ class CostEffectiveness(Pictured):
         tables["chances"] = chances
         drawn = {part.label: part.kind for part in self.uncertainty.parts}
         count, assumed = len(self.draws), self.uncertainty
+        held = None
+        if NO_PARAMETER in assumed.fixed.values():
+            held = f"{', '.join(self.components)}: {NO_PARAMETER}"
         facts = {
             "claim": self.claim,
             **self._list_error_facts(),
@@ -304,7 +313,7 @@ class CostEffectiveness(Pictured):
             "effect": self.components[0],
             "cost": self.components[1],
             "drawn": Shown(drawn, f"{len(drawn)} distributions" if drawn else None),
-            "fixed": Shown(assumed.fixed),
+            "fixed": Shown(assumed.fixed, held),
             "assumed": Shown(assumed.assumed, assumed.assumption or None),
             "strategies": Shown(list(self.strategies)),
             "icers": Shown(rows.to_dict("records")),
@@ -457,6 +466,9 @@ def _require_same_index(tables: Mapping[str, Any]) -> None:
     labelled = {name: each for name, each in tables.items() if hasattr(each, "columns")}
     first, *others = labelled or [""]
     for name in others:
+        if len(labelled[name]) != len(labelled[first]):
+            what = f"{name} has {len(labelled[name]):,} rows, {first} has {len(labelled[first]):,}"
+            raise ModelError(what, where=name, fix="give a row for each draw")
         if [*labelled[name].index] != [*labelled[first].index]:
             what = f"{name} has other row labels than {first}, or another order of rows"
             fix = "give all tables the same labels in the same order, one for each draw"
@@ -476,11 +488,25 @@ def _read_table(given: Any, where: str) -> dict[str, Floats]:
         except (TypeError, ValueError):
             numbers = np.empty((0, 0))
         if numbers.ndim != 1 or not numbers.size or not np.isfinite(columns[str(name)]).all():
+            what = "not a list of numbers"
+            if numbers.ndim == 1 and numbers.size:
+                what = f"a number is {columns[str(name)][~np.isfinite(columns[str(name)])][0]}"
             fix = "give one finite number, or one for each draw"
-            raise ModelError("not a list of numbers", where=f"{where} of {name}", fix=fix)
+            raise ModelError(what, where=f"{where} of {name}", fix=fix)
     if not columns:
         raise ModelError("no column", where=where, fix="give one for each strategy")
     return columns
+
+
+def _warn_of_rate(discount: Fraction, where: str) -> None:
+    """Warn of a discount that looks like a rate: 0.03 where 1/1.03 is meant."""
+    if 0 < discount < Fraction(1, 2):
+        factor = (1 / (1 + discount)).limit_denominator(10**6)
+        warnings.warn(
+            f"the {where} is {float(discount):g}, a factor from one step to the next; if a rate is "
+            f"meant, give {factor}, which is 1/(1 + rate)",
+            stacklevel=3,
+        )
 
 
 def parse_price(wtp: ArrayLike) -> float:
@@ -555,10 +581,14 @@ def cost_effectiveness(
     else:
         family = drawn_family(model)
         chosen = uncertainty(family, uncertain)
+        if isinstance(model, MDP):
+            amounts = dict.fromkeys((effect, cost), NO_PARAMETER)
+            chosen = replace(chosen, fixed={**chosen.fixed, **amounts})
         solver = ModelSolver(family, chosen.names)
         draws = sample_parameters(family, chosen, n, seed, solver.block)
-    for name in (effect, cost):
-        require_known_name(name, solver.mdp.component_names, "component", "cost-effectiveness")
+    for where, name in (("effect", effect), ("cost", cost)):
+        require_known_name(name, solver.mdp.component_names, "component", where)
+    _warn_of_rate(solver.mdp.discount_exact, "discount")
     # A solver for each of the two discounts.
     solvers = [solver, solver]
     fix = 'give {component: discount}: {"cost": 0.97, "qaly": 1}'
@@ -567,6 +597,7 @@ def cost_effectiveness(
         if DISCOUNT in chosen.names:
             fix = "hold the discount fixed, or leave discount= out"
             raise ModelError("the discount is drawn, and given, too", where="discount", fix=fix)
+        _warn_of_rate(as_discount(rate), f"discount of {name}")
         other = family.with_question(Question("with_", {"discount": as_discount(rate)}))
         solvers[(effect, cost).index(name)] = ModelSolver(other, chosen.names)
     # Cost and effect of each strategy, block by block, with error bounds.

@@ -2,8 +2,8 @@
 
     F(low) = 0.025,    F(high) = 0.975
 
-Both equations are met, so a mean is not asked for. Those of a normal, log-normal and uniform
-distribution have a closed solution. A gamma's shape follows from the ratio of the two quantiles,
+Both equations are met, so a mean is not asked for. A normal, log-normal or uniform
+distribution has a closed solution. A gamma's shape follows from the ratio of the two quantiles,
 which falls as the shape grows, and its scale from one of them. For a beta, the mean at which the
 lower quantile fits is found at each size α + β, and then the size at which the upper one fits.
 """

@@ -70,7 +70,7 @@ class Tornado(Pictured):
 
     @property
     def differences(self) -> Floats:
-        """(D,) at each point of the study: the value of the policy less that of the other one."""
+        """(D,) at each point of the study: the policy's value less the other one's."""
         one, other = self.table.fixed.T
         return np.asarray(one - other)
 
@@ -264,7 +264,7 @@ def tornado(
     policy : PolicyLike
         The policy held fixed, whose regret is given as well; "optimal" is today's optimum.
     against : PolicyLike, optional
-        Another policy held fixed. The bars are then those of the difference, the value of `policy`
+        Another policy held fixed. The bars then show the difference, the value of `policy`
         less the value of this one: for net benefits, the incremental net benefit.
     names : iterable of str, optional
         The parameters; by default the keys of `ranges`, or all parameters without ranges.

@@ -4,8 +4,8 @@ A point gives values to some parameters; the others keep today's values. At each
 is found (the policy re-optimised) and each given policy is evaluated (held fixed). Tornado, grid,
 Sobol indices and probabilistic analyses are designs of points and summaries of their tables. They
 compare values, so infinite ones, at discount 1, are refused. The models of many points are one
-stacked model where that is possible (`solvers.stacked`), and that of a care scenario is made
-without them (`solvers.care`); other models are solved one by one. Blocks of points have a fixed
+stacked model where that is possible (`solvers.stacked`), and care scenarios are stacked without
+them (`solvers.care`); other models are solved one by one. Blocks of points have a fixed
 size, so that any number of workers gives the same bytes.
 """
 
@@ -20,6 +20,7 @@ from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
 
+from exact_mdp.mdp.advice import warn_of_zero_reward
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import (
     DistributionError,
@@ -241,6 +242,8 @@ class StudyDraws:
             values = dict(zip(solver.names, points[first].tolist(), strict=True))
             where = f", {count} of {len(points)} draws, the first of them draw {first}"
             solver.model.warn_of_cutoffs(values, where=where)
+        if not (whole["start"].any() or whole["value"].any()):
+            warn_of_zero_reward(solver.mdp)
         # Each block numbers its own optimal policies; here equal ones of all blocks become one.
         rows, places = find_distinct_rows(np.concatenate([block["rows"] for block in done]))
         begins = np.cumsum([0, *(len(block["rows"]) for block in done[:-1])])
@@ -586,7 +589,8 @@ class ModelSolver:
         models, at = [], partial(self._describe_draw, draws, first)
         for d, row in enumerate(draws.tolist()):
             try:
-                with locate_errors(at(d)), annotate_errors(at(d)):
+                where = at(d)
+                with locate_errors(where), annotate_errors(where):
                     models.append(self.model.at(dict(zip(self.names, row, strict=True))))
                     check_alike(self.mdp, models[-1], start=len(self.mdp.start) == 1)
             except DistributionError as error:

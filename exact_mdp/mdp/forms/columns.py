@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, merge_entries, rationalize_rows
+from exact_mdp.mdp.forms.numbers import (
+    group_numbers,
+    has_floats,
+    merge_entries,
+    order_entries,
+    rationalize_rows,
+)
 from exact_mdp.mdp.forms.rows import LONG, fine_unit, put_right
 from exact_mdp.mdp.table import (
     COMPILED,
@@ -47,10 +53,10 @@ def table_of(
     parts = amounts
     if parts is None:
         parts = {}
-    # Large tables of floats go through one compiled pass, if nothing is wrong with them.
+    # Rows of floats go through one pass, if nothing is wrong with them.
     taken = None
     if by_pair:
-        taken = _copy_sorted_rows(offsets, following, chance, size, own=own)
+        taken = _sort_and_normalize(offsets, following, chance, size, own=own)
     # All others: correct rounding errors, and drop outcomes of probability 0.
     if taken is not None:
         following, chance = taken
@@ -133,17 +139,22 @@ def _is_sorted(offsets: Integers, following: Numbers) -> bool:
     return bool(ahead.all())
 
 
-def _copy_sorted_rows(
+def _sort_and_normalize(
     offsets: Integers, following: Numbers, chance: Numbers, size: int, *, own: bool
 ) -> tuple[Numbers, Floats] | None:
-    """Return sorted next states and normalized probabilities (N,), copied in one pass.
+    """Return sorted next states and normalized probabilities (N,), copied unless they are `own`.
 
-    Return None if there are too few for compiled loops, or a row is not a distribution.
+    Return None if a row is not a distribution, or leads twice to a state.
     """
-    if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
+    if chance.dtype != np.float64 or size >= 2**31:
         return None
-    # Rows that may be changed in place need no copy; they are sorted already.
-    if own:
+    # Rows that may be changed in place are sorted already.
+    if own or len(chance) < COMPILED:
+        if not own:
+            order = order_entries(offsets, following)[2]
+            following, chance = following[order], chance[order]
+            if not _is_sorted(offsets, following):
+                return None
         if normalize_rows(chance, offsets):
             return following, chance
         return None

@@ -266,6 +266,20 @@ def chance_sum(left: Fraction | float, right: Fraction | float) -> Fraction | fl
     return exact_sum(left, right)
 
 
+def order_entries(offsets: Integers, columns: Numbers) -> tuple[Integers, Integers, Integers]:
+    """Return the row of each entry, its place (N,), and the order of the places.
+
+    Places rise with the row, and within a row with the column.
+    """
+    row = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    # Row and column in one number sort twenty times as fast as two numbers.
+    column = columns.astype(np.int64)
+    if len(row) and not 0 <= column.min() <= column.max() < 2**31:
+        column = np.unique(columns, return_inverse=True)[1]
+    place = row * (int(column.max(initial=0)) + 1) + column
+    return row, place, np.argsort(place, kind="stable")
+
+
 def merge_entries(
     offsets: Integers,
     columns: Numbers,
@@ -280,13 +294,7 @@ def merge_entries(
     values are probabilities (`chances`), a row of floats that has equal entries is first replaced
     by the exact row that it stands for (`mdp.forms.rows`).
     """
-    row = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
-    # Row and column in one number sort twenty times as fast as two numbers.
-    column = columns.astype(np.int64)
-    if len(row) and not 0 <= column.min() <= column.max() < 2**31:
-        column = np.unique(columns, return_inverse=True)[1]
-    place = row * (int(column.max(initial=0)) + 1) + column
-    order = np.argsort(place, kind="stable")
+    row, place, order = order_entries(offsets, columns)
     parted = [place[order]]
     if keys is not None:
         # Keys are compared only where the place is the same: to order fractions takes long.

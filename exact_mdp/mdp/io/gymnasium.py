@@ -102,7 +102,7 @@ class FromGymnasium(FromFunction):
 
         Notes
         -----
-        Custom environments and wrappers are tried for some hundred steps, with fixed seeds, in a
+        Custom environments and wrappers are tried for a few hundred steps, with fixed seeds, in a
         copy; an environment that cannot be copied is itself reset and stepped.
 
         Returns
@@ -112,8 +112,8 @@ class FromGymnasium(FromFunction):
         Raises
         ------
         ModelError
-            If the environment is unknown, if it has no `P` and is not deterministic given what it
-            observes, if `P` is not a table of distributions over its own states, or if step() or
+            If the environment is unknown, if it has no `P` and is not deterministic given its
+            observation, if `P` is not a table of distributions over its own states, or if step() or
             reset() differs from `P`.
 
         Examples

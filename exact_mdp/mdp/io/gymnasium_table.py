@@ -7,7 +7,7 @@ rounding.
 
 A model is made from `P` alone, so an environment whose step() or reset() does something else is
 another problem. Gymnasium's wrappers that only record, stop or draw are harmless, and toy-text
-environments agree with their `P`. Every custom wrapper or environment is tried for some hundred
+environments agree with their `P`. Every custom wrapper or environment is tried for a few hundred
 steps with fixed seeds. After action a in state s, each step (s', r, terminated) must be an outcome
 with a positive probability in P[s][a], and each start must be a state with a positive initial
 probability. Rare events may be missed, and frequencies are not compared.

@@ -259,7 +259,7 @@ def read_model_json(path: str | Path) -> MDP:
         state, action, reward, below, following, weight = (
             [pair[key] for pair in pairs] for key in PAIR
         )
-        # The outcomes of all pairs; those of a pair are sorted by next state.
+        # The outcomes of all pairs, sorted by next state within a pair.
         columns = [np.repeat(np.arange(len(pairs)), lengths).tolist(), [*chain(*following)]]
         columns += [[*chain(*weight)], _list_by_outcome(reward, lengths)]
         order = sorted(range(ends[-1]), key=lambda k: [column[k] for column in columns])

@@ -30,6 +30,9 @@ def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> d
     return content
 
 
+TOO_LONG = 10**MOST_DIGITS  # the least integer with more digits
+
+
 def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
     """Return the content of a JSON text; refuse repeated keys. `hooks` are for `json.loads`."""
     read = partial(json.loads, object_pairs_hook=once_each, **hooks)
@@ -67,7 +70,7 @@ def _check_limits(content: Any, levels: int) -> None:
             raise RecursionError
         for each in content:
             _check_limits(each, levels - 1)
-    elif isinstance(content, int) and abs(content) >= 10**MOST_DIGITS:
+    elif isinstance(content, int) and abs(content) >= TOO_LONG:
         raise ValueError("string conversion")
 
 

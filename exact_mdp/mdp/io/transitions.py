@@ -664,6 +664,18 @@ class TransitionRecord:
         known = ~np.isin(state, keys[:, 0])
         return np.where(then <= ENDED, np.where(known, state, OVER), then)
 
+    def _warn_of_done(self, keys: Integers, count: Integers) -> None:
+        """Warn if rows that are done, perhaps cut off, lead to states that other rows leave."""
+        if {*MARKS} & {*self.columns} != {"done"}:
+            return
+        number = count[np.isin(ENDED - keys[:, 2], keys[:, 0]) & (keys[:, 2] <= ENDED)].sum()
+        if number:
+            warnings.warn(
+                f"{number:,} rows of {self.where} are done in states that other rows leave, and "
+                "count as ends; if a time limit cut some off, mark them in a column 'truncated'",
+                stacklevel=4,
+            )
+
     def build_parts(
         self, discount: object, unseen: object, *, costs: bool = False
     ) -> dict[str, Any]:
@@ -673,6 +685,7 @@ class TransitionRecord:
             raise ModelError("no transitions", where=self.where, fix="give at least one row")
         # Number states and actions in the order of their names; extra states follow.
         keys, count = self._merge_counts()
+        self._warn_of_done(keys, count)
         keys[:, 2] = self._resolve_next_states(keys[:, 2], keys)
         place, states = _sort_names(self.numbers["state"])
         choice, actions = _sort_names(self.numbers["action"])

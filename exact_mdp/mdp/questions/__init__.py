@@ -125,6 +125,7 @@ class Questions(Parts):
         weights : "half-cycle", "simpson" or (N,) numbers
             Of a model of N steps, made by `within(N)` or `from_steps`. The rules correct
             cohort models, with a reward at each end of N - 1 cycles. "simpson" needs an odd N.
+            All amounts are weighed: double a cost that is paid once, at the start, for half cycles.
 
         Returns
         -------

@@ -256,6 +256,15 @@ def split_by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
     return by_step
 
 
+def count_steps(model: Any) -> int:
+    """Return after how many steps episodes stop; the one that earns values after 0 is none."""
+    origin = origin_of(model)
+    for question in origin.questions if origin is not None else ():
+        if question.method == "within":
+            return int(question.options["steps"])
+    return int(model.space.columns[0].size) - 1
+
+
 def repeats_in_time(model: Any) -> bool:
     """Return whether a model without origin looks like the result of `within`.
 
@@ -281,16 +290,19 @@ def repeats_in_time(model: Any) -> bool:
 
 
 def describe_time_limit(model: Parts, within: str) -> list[str]:
-    """Return a note that the answer ignores the environment's time limit; [] without a limit.
+    """Return a note that the answer ignores the environment's time limit; [] if it does not.
 
     `within` is advice on how to keep the limit, with {} for the number of steps.
     """
-    if model.time_limit is None:
+    origin = origin_of(model)
+    limit, kept = model.time_limit, "without a limit"
+    if origin is not None and model.space.untimed is not None:
+        limit, kept = origin.model.time_limit, f"of {count_steps(model):,} steps"
+        if limit == count_steps(model):
+            return []
+    if limit is None:
         return []
-    note = (
-        f"the environment stops after {model.time_limit:,} steps; this answer is for episodes "
-        "without a limit"
-    )
+    note = f"the environment stops after {limit:,} steps; this answer is for episodes {kept}"
     if within:
-        note += f": {within.format(model.time_limit)}"
+        note += f": {within.format(limit)}"
     return [note]

@@ -6,7 +6,7 @@ The step into T earns 1 and leads to a new state `reached`, where the run ends; 
 a state of T does so, too. A run that leaves C ∪ T stays where it is and earns 0 (Baier and Katoen,
 Principles of Model Checking, MIT Press 2008, section 10.1).
 
-The way back: the states 0 … S-1 and the pairs 0 … L-1 are those of the given model, and `reached`
+The way back: the states 0 … S-1 and the pairs 0 … L-1 are the given model's, and `reached`
 and its pair come last.
 """
 

@@ -16,11 +16,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from exact_mdp.mdp.components import REST, cancel_common_divisor, with_components
 from exact_mdp.mdp.errors import ModelError, suggest_name
+from exact_mdp.mdp.forms.names import find_free_name
 from exact_mdp.mdp.questions.ending import find_labelled_states, make_terminal
 from exact_mdp.mdp.questions.expressions import is_expression
 from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.questions.terminal_values import read_terminal_values, require_unpaid
+from exact_mdp.mdp.table import multiply
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,10 @@ class Until:
 
 @dataclass(frozen=True)
 class Component:
-    """The component of the reward that counts alone."""
+    """The component of the reward that counts alone; others may stay, as amounts for limits."""
 
     name: str
+    others: bool = False
 
     def require_applicable(self, model: Any) -> None:
         """Raise ModelError if the model has no such component."""
@@ -73,5 +77,15 @@ class Component:
             # Terminal values are a component of their own, so they do not count.
             unpaid = origin.without_terminal_value()
             return replace(unpaid, model=self.apply(origin.model)).rebuild_model()
-        table = model.table.with_component_reward(model.component_names.index(self.name))
-        return replace(model, table=table, component_names=(self.name,))
+        names, number = model.component_names, model.component_names.index(self.name)
+        table = model.table.with_component_reward(number)
+        if not self.others:
+            return replace(model, table=table, component_names=(self.name,))
+        # All components as they are, and what the new reward is less than their sum.
+        amounts, below = model.table.expected_components_exact()
+        gain, bottom = model.table.expected_gain_exact
+        less = multiply(amounts[:, number], bottom) - multiply(gain, below)
+        rest = cancel_common_divisor(less, multiply(below, bottom), table)
+        table = with_components(table, [*((column, below) for column in amounts.T), rest])
+        names = (*names, find_free_name(REST, names))
+        return replace(model, table=replace(table, averaged=True), component_names=names)

@@ -67,7 +67,12 @@ VARIANT = option_with_default(
     help="Prompt of action execution.",
 )
 BACKEND = combine_options(
-    option_with_default("--backend", type=click.Choice(("scripted", "openai")), default="scripted"),
+    option_with_default(
+        "--backend",
+        type=click.Choice(("scripted", "openai")),
+        default="scripted",
+        help="Who plays both agents: fixed sentences, or a language model.",
+    ),
     option_with_default(
         "--noise",
         default=0.0,
@@ -87,14 +92,31 @@ BACKEND = combine_options(
         type=click.FloatRange(0.1, 86_400),
         help="openai: seconds for a whole answer.",
     ),
-    option_with_default("--temperature", default=Endpoint.temperature, type=click.FloatRange(0, 2)),
     option_with_default(
-        "--max-tokens", default=Endpoint.max_tokens, type=click.IntRange(16, 100_000)
+        "--temperature",
+        default=Endpoint.temperature,
+        type=click.FloatRange(0, 2),
+        help="openai: how freely the model draws its words; 0 takes the likeliest.",
     ),
     option_with_default(
-        "--response-format", "shape", type=click.Choice(SHAPES), default=Endpoint.shape
+        "--max-tokens",
+        default=Endpoint.max_tokens,
+        type=click.IntRange(16, 100_000),
+        help="openai: the longest answer.",
     ),
-    option_with_default("--tries", default=Endpoint.tries, type=click.IntRange(1, 20)),
+    option_with_default(
+        "--response-format",
+        "shape",
+        type=click.Choice(SHAPES),
+        default=Endpoint.shape,
+        help="openai: how the answer's form is asked for.",
+    ),
+    option_with_default(
+        "--tries",
+        default=Endpoint.tries,
+        type=click.IntRange(1, 20),
+        help="openai: how often a question is asked before giving up.",
+    ),
 )
 
 
@@ -130,7 +152,10 @@ def main() -> None:
 @main.command("run")
 @combine_options(SCENE, VARIANT, BACKEND)
 @option_with_default(
-    "--out", type=FOLDER, default=Path("results/agents/conversation"), help="Its folder."
+    "--out",
+    type=FOLDER,
+    default=Path("results/agents/conversation"),
+    help="Where the recording is kept.",
 )
 @option_with_default("--resume", is_flag=True, help="Go on with the recording in the folder.")
 @option_with_default(
@@ -168,9 +193,14 @@ def converse_command(out: Path, resume: bool, limit: int | None, **words: Any) -
     type=FILE,
     help="Count in this conversation.jsonl instead of asking; repeatable.",
 )
-@option_with_default("--scripted-behaviour", is_flag=True, help="The scripted agent behaves.")
 @option_with_default(
-    "--out", type=FOLDER, default=Path("results/agents/perception"), help="Its folder."
+    "--scripted-behaviour", is_flag=True, help="Let the scripted agent behave, whatever perceives."
+)
+@option_with_default(
+    "--out",
+    type=FOLDER,
+    default=Path("results/agents/perception"),
+    help="Where the counts are written.",
 )
 def measure_command(
     each: int, recordings: tuple[Path, ...], scripted_behaviour: bool, out: Path, **words: Any

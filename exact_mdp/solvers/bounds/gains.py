@@ -113,6 +113,7 @@ def reward_errors(mdp: MDP) -> Floats:
     return _expectation_errors(mdp.table, mdp.reward)
 
 
+@cache_on_model
 def component_errors(mdp: MDP) -> Floats:
     """Return (L, C) bounds on the errors of the expected components."""
     errors = []

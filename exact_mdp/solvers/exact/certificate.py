@@ -307,7 +307,10 @@ class Certificate(Proof, Pictured):
 
     @cached_property
     def optimal_pairs(self) -> Mask:
-        """(L,) the pairs that attain the optimum of their state."""
+        """(L,) the pairs after which the optimum of their state can still be attained.
+
+        At discount 1 some may have to be left later: waiting in a state of +∞ keeps its value.
+        """
         if self.known_optimal is not None:
             return self.known_optimal
         mdp = require_model(None, self.mdp, "optimal_pairs")

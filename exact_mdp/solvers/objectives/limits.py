@@ -399,7 +399,7 @@ def _combine_policies(
     # Phase 1 (`short`) minimises the step t; if it reaches 0, phase 2 maximises the return.
     size, short = len(limits), True
     reward = [1] + [0] * (len(of.names) - 1)
-    if of.reduced:  # ties may be broken by more of what is best kept low, which may be endless
+    if of.reduced:  # ties may be broken by more of a limited total, even endlessly
         policies = [evaluate_objectives(of, solve_weighted(of, reward)[0])]
     else:
         policies = [find_extreme_policy(of, reward)]

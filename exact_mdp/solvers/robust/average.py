@@ -186,7 +186,7 @@ class RobustAverages:
 
     @cached_property
     def _graph(self) -> PairGraph:
-        """The graph of the pairs; that of a policy has one for each state."""
+        """The graph of the pairs; a policy has one pair for each state."""
         if self.weights is None:
             return PairGraph.of(self.given)
         return PairGraph.of(PolicyChain.of(self.given, self.weights).model)
@@ -204,7 +204,11 @@ class RobustAverages:
         return component, inside
 
     def _require_base(self, closed: Mask) -> None:
-        """Raise ModelError unless some state is visited again and again whatever happens."""
+        """Raise ModelError unless some state is visited again and again whatever happens.
+
+        Of a pair whose set can close one outcome, any single outcome may be left: more than the set
+        allows, so that some models are refused that have one gain, and none is wrongly accepted.
+        """
         if self.weights is None:
             split = self._graph.split_pairs(closed)
         else:
@@ -212,8 +216,9 @@ class RobustAverages:
             split = self._graph.split_pairs(some)
         if split.find_base(np.ones(len(split.pair_state), dtype=bool)) is None:
             raise ModelError(
-                "under some distributions within the sets an outcome is impossible, and no state "
-                "is visited again and again whatever they are, so that states may differ in gain",
+                "under some distributions within the sets an outcome is impossible; if they may "
+                "leave any single one, no state is visited again and again whatever they are, so "
+                "that states may differ in gain",
                 where=self.given.where(int(closed.argmax())),
                 fix="choose smaller sets that keep every outcome possible",
             )

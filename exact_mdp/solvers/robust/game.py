@@ -70,7 +70,7 @@ class Game:
         self.row_state = np.searchsorted(self.live, state)  # (U,) the place of each state in `live`
         start, length = table.offsets[self.source], np.diff(table.offsets)[self.source]
         probability, gain = table.compute_probabilities(), table.compute_gains()
-        # A pair that stops has one outcome, the end, behind those of the table.
+        # A pair that stops has one outcome, the end, behind the outcomes of the table.
         stops = np.flatnonzero(self.source < 0)
         if len(stops):
             start[stops], length[stops] = len(table.next) + np.arange(len(stops)), 1

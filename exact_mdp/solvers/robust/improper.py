@@ -1,16 +1,16 @@
 """The reduction of improper policies in robust models at discount 1.
 
 If the sets keep all outcomes possible, nature cannot change which states a pair may lead to. Then
-end components, and the states that a policy reaches with probability 1, are those of the model
-itself, and `endless.improper` applies with three changes:
+the model itself has the same end components, and a policy reaches the same states with probability
+1 in it, and `endless.improper` applies with three changes:
 
 - What a pair earns is judged by all of its outcomes, as nature chooses their probabilities.
-- Where a component has both gains and losses, the best gain g is that against nature. With T the
+- Where a component has both gains and losses, g is the best gain against nature. With T the
   right side of the robust equation, T h > h for some h proves g > 0, and T h < h that g < 0; h is
   found as for an average reward (`average`).
-- Pairs are left out so that every policy ends, and the robust values V of what remains are those of
-  the whole if each omitted pair is worth less than V. For let nature choose what is best for it at
-  V. Under these rows V is not exceeded by a policy that ends; any other has a recurrent class with
+- Pairs are left out so that every policy ends. The robust values V of the rest are right for the
+  whole if each omitted pair is worth less than V. For let nature make its best choices at V. Under
+  these rows V is not exceeded by a policy that ends; any other has a recurrent class with
   an omitted pair in it, hence with a negative gain, and is worth -∞.
 
 If nature can make an outcome impossible, it may keep a run where the model itself would let it

@@ -40,7 +40,7 @@ from exact_mdp.solvers.exact.find import one_sign
 from exact_mdp.solvers.robust.average import RobustAverages, choose_tolerance
 from exact_mdp.solvers.robust.game import Game, verify_margins
 from exact_mdp.solvers.robust.improper import RobustImproperPolicies
-from exact_mdp.solvers.robust.sets import Ambiguity, Inner
+from exact_mdp.solvers.robust.sets import Ambiguity, Inner, advise_on_sets
 from exact_mdp.solvers.solution import Found
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -68,6 +68,7 @@ class RobustSolution(OfCriterion, Found, Result):
         )
 
 
+@advise_on_sets()
 def solve_robust(
     model: MDP,
     ambiguity: Ambiguity,
@@ -105,7 +106,8 @@ def solve_robust(
     ModelError
         If the sets do not fit the model; at discount 1, if gains and losses may cancel forever, if
         +∞ and -∞ meet, or if nature can make outcomes impossible and so prevent the end; for an
-        average, if it can do so and no state is visited again and again.
+        average, if it can do so and no state is visited again and again, whichever single outcome
+        it leaves of these pairs, even of those that its set keeps possible.
     SolverError
         At the iteration limit, or if double precision cannot bound the error.
 
@@ -160,7 +162,7 @@ def solve_robust(
         share = game.choose_pairs(np.zeros(len(game.pairs)))
     transition, earned = game.build_chain(distributions, share)
     if found.status is Status.PRECISION:
-        warn_of_precision(float(found.error.max()))
+        warn_of_precision(float(found.error.max()), status=found.status.with_sets, stacklevel=3)
     return RobustSolution(
         mdp=model,
         nature=nature,
@@ -170,7 +172,7 @@ def solve_robust(
         transition=transition,
         reward=model.sense.orient(earned),
         criterion=criterion,
-        status=found.status,
+        status=found.status.with_sets,
         iterations=found.iterations,
         seconds=perf_counter() - started,
     )

@@ -16,7 +16,8 @@ Mathematics of Operations Research 30, 2005).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -49,7 +50,7 @@ class RowBlock:
     largest: Floats  # (K,) the greatest |gain| of each row
 
 
-LEFT = 8 * UNIT  # what is left of a probability is rounding, if it is no more than this
+LEFT = 8 * UNIT  # a probability up to this one is the rest that rounding leaves
 
 
 class Ambiguity(ABC):
@@ -69,7 +70,7 @@ class Ambiguity(ABC):
     def keeps_outcomes(self, model: MDP) -> Mask:
         """Return (L,) True for pairs all of whose outcomes are possible under every member.
 
-        A set that does not say so keeps those of pairs with a single outcome.
+        A set that does not say so keeps pairs with a single outcome.
         """
         return np.asarray(np.diff(model.table.offsets) == 1)
 
@@ -214,7 +215,7 @@ class L1Ball(Ball):
         """See `Ambiguity.keeps_outcomes`."""
         p, pair = model.table.compute_probabilities(), model.table.pair
         radius = np.broadcast_to(self.radius, model.n_pairs)
-        # What is left of an outcome has to be more than rounding, as in `minimise`.
+        # The rest of an outcome has to be more than rounding, as in `minimise`.
         kept = p - radius[pair] / 2 > LEFT
         every = np.logical_and.reduceat(kept, model.table.offsets[:-1])
         return super().keeps_outcomes(model) | every
@@ -246,6 +247,15 @@ def radius_of(given: object, what: str) -> float:
         fix = "choose one from 0 up, no larger than a float can be"
         raise ModelError(f"{what} of {format_rational(number)}", where="radius", fix=fix)
     return float(number)
+
+
+@contextmanager
+def advise_on_sets() -> Iterator[None]:
+    """Make a SolverError say what helps with sets of rows."""
+    try:
+        yield
+    except SolverError as error:
+        raise SolverError(error.status.with_sets, error.detail) from error
 
 
 # ---- rows side by side ---------------------------------------------------------------------------

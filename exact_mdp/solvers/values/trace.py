@@ -17,6 +17,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.horizon import count_steps
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, frame_to_table
 from exact_mdp.mdp.table import MOST_BYTES, Floats
@@ -103,7 +104,7 @@ def cohort_trace(
         if steps is not None:
             fix = "leave steps out"
             raise ModelError("the model has a number of steps of its own", where="steps", fix=fix)
-        steps = mdp.space.columns[0].size - 1
+        steps = count_steps(mdp)
         # The number of each state without its time; extra states come last.
         states, last = np.arange(mdp.n_states), mdp.space.regular
         own = np.where(states < last, states % space.regular, states - last + space.regular)

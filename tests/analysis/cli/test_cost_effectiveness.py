@@ -40,6 +40,19 @@ def test_the_base_case(care: Path) -> None:
     assert "Δ cost" in text
 
 
+MORE = "; a Family can do more"
+
+
+def test_amounts_of_a_model_are_said_to_be_held(care: Path) -> None:
+    """Only its rows are drawn; in a family, whatever its function takes."""
+    text = run("ce", care, *BOTH, "--samples", 5).out
+    said = "qaly, cost: held, as a plain model has no parameters of them, and each row varies alone"
+    assert said in " ".join(text.split())
+    fixed = answer(care, *BOTH, "--samples", 5)["fixed"]
+    assert fixed["cost"] == fixed["qaly"] == said.removeprefix("qaly, cost: ") + MORE
+    assert "plain model" not in run("ce", care, *BOTH).out
+
+
 def test_draws_from_a_file(care: Path, tmp_path: Path) -> None:
     table = pd.DataFrame({"discount": [0.9, 0.95, 0.99]})
     table.to_csv(tmp_path / "draws.csv", index=False)

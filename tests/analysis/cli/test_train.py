@@ -9,12 +9,12 @@ from cli_runner import run, strict
 
 from exact_mdp import MDP, Policy, QLearning, Scenario, evaluate
 
-QUICK = "train yuan2025 --learner=epochs=60 --seeds 20 --json"
+QUICK = "train yuan2025 --learner=epochs=60 --json"
 
 
 @pytest.fixture(scope="module")
 def result() -> dict:
-    return run(QUICK).result
+    return run(QUICK, "--seeds", 20).result
 
 
 def test_the_last_episodes_of_the_first_run(result: dict) -> None:
@@ -87,7 +87,7 @@ def test_the_files_can_be_used(tmp_path: Path) -> None:
     ],
 )
 def test_every_setting_of_the_learner_may_be_given(words: str, tmp_path: Path) -> None:
-    quick = f"{QUICK} --seeds 3 --learner=epochs=10 {words}"
+    quick = f"train yuan2025 --learner=epochs=10 --seeds 3 --json {words}"
     trained = run(quick, "--out", tmp_path).result
     assert trained["regret"]["mean"] >= 0
     assert trained["best_value"] <= trained["optimal_value"] + 1e-9

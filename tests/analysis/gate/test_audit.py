@@ -381,3 +381,12 @@ def test_where_no_policy_keeps_the_limits_there_is_nothing_to_agree_with() -> No
     mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])])
     lines = check(mdp, [0, 0], subject_to={"reward": ">= 3"}).report().lines()
     assert "nan" not in " ".join(lines.values())
+
+
+def test_an_audit_is_not_a_condition() -> None:
+    """`assert check(…)` would hold whatever the verdict."""
+    audit = check(forest("9/10"), "random", max_regret=0)
+    assert not audit.passed
+    with pytest.raises(ModelError, match=r"neither true nor false") as refused:
+        assert audit
+    assert "write .passed" in refused.value.fix

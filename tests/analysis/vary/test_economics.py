@@ -25,6 +25,7 @@ from exact_mdp import (
     one_way,
     psa,
     sobol,
+    study,
     thresholds,
     tornado,
     tradeoff,
@@ -148,9 +149,43 @@ def test_one_row_of_todays_values_is_the_base_case() -> None:
     assert str(base.evpi(10)) == "0 (estimated, of one draw)"
 
 
+def test_a_reward_of_0_beside_components_is_not_shown_in_silence(tmp_path: Path) -> None:
+    said = r"the reward is 0 everywhere.* components qaly, cost do not count.*earning\('qaly'\)"
+    earning = MODEL.with_question(lambda model: model.earning("qaly"))
+    nothing = MODEL.with_question(lambda model: MDP.from_arrays([[[1]]], [0]))
+    for ask in (
+        tornado,
+        gradient,
+        lambda model: sobol(model, n=2),
+        lambda model: psa(model, 2, uncertain=SAID),
+        lambda model: one_way(model, "gain"),
+        lambda model: two_way(model, "gain", "price", points=2),
+        lambda model: thresholds(model, "gain"),
+        lambda model: study(model, {"gain": [1, 2]}),
+    ):
+        with pytest.warns(UserWarning, match=said):
+            ask(MODEL)
+        ask(earning)
+        ask(nothing)
+    # A reward that a parameter brings about is no silence, and neither is another cost.
+    free = Family(parameters={"r": 0}, build=lambda at: _with_cost(at["r"]))
+    assert gradient(free)["r"].value.value == 1
+    tornado(free, ranges={"r": (0, 1)})
+    _with_cost(0).save(tmp_path / "free.npz")
+    assert "components cost do" in run("gradient", tmp_path / "free.npz").err
+    assert not run("gradient", tmp_path / "free.npz", "--reward", "cost").err
+    cost_effectiveness(MODEL, POLICIES, 2, uncertain=SAID)
+
+
+def _with_cost(reward):
+    rows = [(0, 0, [(1, 1, reward)]), (1, 0, [(1, 1, 0)])]
+    return MDP.from_outcomes(rows, components={"cost": [5, 0]})
+
+
 def test_units_are_those_that_were_said() -> None:
     price = Parameter(name="price", value=5, low=0, unit="$")
-    model = Family(parameters=(price, Parameter(name="gain", value=1)), build=build)
+    family = Family(parameters=(price, Parameter(name="gain", value=1)), build=build)
+    model = family.with_question(lambda mdp: mdp.earning("cost"))
     table = tornado(model).frame().set_index("parameter")
     assert table["unit"].to_dict() == {"price": "$", "gain": "number"}
     axes = [one_way(model, name, points=2).plot().get_xlabel() for name in ("price", "gain")]
@@ -192,6 +227,7 @@ def test_a_tornado_shows_the_incremental_net_benefit_of_two_strategies(tmp_path:
     assert [found["bars"][0][f"difference_{end}"] for end in ("low", "high")] == [10.8, 11.2]
 
 
+@pytest.mark.filterwarnings("ignore:the reward is 0 everywhere")
 def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:
     for wide in ("1/1000", 1):
         over = two_way(MODEL, "gain", "price", relative=wide, points=3)
@@ -247,6 +283,7 @@ def test_a_tornado_has_no_exponents_beside_its_bars() -> None:
     assert texts_of(tornado(dear).plot().get_yticklabels()) == ["r [7,206, 10,808]"]
 
 
+@pytest.mark.filterwarnings("ignore:the reward is 0 everywhere")
 def test_a_picture_of_draws_shows_every_candidate() -> None:
     draws = psa(BETS, 50, uncertain={"r": {"distribution": "normal", "sd": 1}})
     assert len(draws.plot().lines) == len(draws.candidates) > 1

@@ -211,13 +211,17 @@ RESET = [(e, s, "go", s, 1 - s) for e in (1, 2) for s in (0, 1)]
 def test_a_terminated_row_ends_the_episode_whatever_follows(true: Any, tmp_path: Path) -> None:
     over = [false := "false" if isinstance(true, str) else type(true)(0), true, false, true]
     logs = [marked(*RESET, **marks) for marks in (
-        {"terminated": over}, {"done": over}, {"terminated": over, "done": over},
+        {"terminated": over}, {"terminated": over, "done": over},
         {"terminated": over, "truncated": over}, {"done": over, "truncated": [false] * 4},
     )]  # fmt: skip
     (path := tmp_path / "log.csv").write_text(logs[0].to_csv(index=False), "utf-8")
     models = [*map(MDP.from_transitions, logs), MDP.from_transitions(path)]
     renamed = logs[0].rename(columns={"terminated": "over"})
     models.append(MDP.from_transitions(renamed, columns={"terminated": "over"}))
+    said = "2 rows of transitions are done in states .* mark them in a column 'truncated'"
+    with pytest.warns(UserWarning, match=said) as warned:  # perhaps a time limit
+        models.append(MDP.from_transitions(marked(*RESET, done=over)))
+    assert [each.filename for each in warned] == [__file__]
     for mdp in models:
         assert mdp.space.extra == ("end",)
         assert not mdp.labels

@@ -138,6 +138,21 @@ def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize("more", ["", "--horizon 1", "--until home", "--discount 1/2"])
+def test_limits_may_be_on_components_that_do_not_count(more: str, tmp_path: Path) -> None:
+    """Help is 4 for 3 of toil, or 1 for 1: half of each for 2. The rest is 9 and 0."""
+    rows = [(0, 0, [(1, 1, 16)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
+    parts = {"help": [4, 1, 0], "toil": [3, 1, 0]}
+    model, proof = tmp_path / "model.npz", tmp_path / "proof.json"
+    MDP.from_outcomes(rows, components=parts, labels={"home": [False, True]}).save(model)
+    asked = f"--reward help {more}"
+    found = run(f"solve {asked} --subject-to 'toil <= 2' --certificate", proof, model, "--json")
+    assert found.result["exact_start_value"] == "5/2"
+    assert run(f"verify {asked} --proven --json", proof, model).result["holds"]
+    told = run(f"check {asked} --subject-to 'rest <= 2' --json", model, "always:1").result
+    assert [told[name] for name in ("passed", "learned_value", "regret")] == [False, 1, 2 / 3]
+
+
 # ---- what must not be claimed --------------------------------------------------------------------
 
 STAY_OR_GO = [(0, 0, [(1, 1, -5)]), (0, 1, [(1, 2, -1)]), (1, 0, [(1, 1, 0)])]

@@ -128,7 +128,7 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
         sentences.append("episodes begin as the model says")
     else:
         sentences.append(
-            "the recorded episodes begin as those of the process do, independently of one another"
+            "the recorded episodes begin as the process does, independently of one another"
         )
     ends = list_entered_states(mdp)
     if ends:

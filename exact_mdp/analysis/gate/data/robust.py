@@ -43,6 +43,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, first_of
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.claims import Claim
+from exact_mdp.solvers.robust.sets import advise_on_sets
 
 Sides = Floats  # (2, S) bounds from below and from above
 
@@ -55,7 +56,9 @@ class Robust:
     ----------
     rewards : "known", or (low, high)
         "known" if state, action and next state determine the reward, so it is as recorded;
-        otherwise a range in which rewards lie, as recorded rewards do not rule out others.
+        otherwise a range in which rewards lie, as recorded rewards do not rule out others. Known
+        rewards vary with the row, whose set widens with the number of states; the mean of rewards
+        in a range has a set of its own. So either may be narrower: choose before you look.
     returns : (low, high), optional
         A range for the total reward from any state; needed at discount 1.
 
@@ -92,6 +95,7 @@ class Robust:
             claim=Claim.BOUNDED,
         )
 
+    @advise_on_sets()
     def bounds(self, mdp: MDP, own: Floats, doubt: float) -> RobustBounds:
         """Return bounds that hold unless some row lies outside its set, of probability `doubt`."""
         sets, returns = RowSets.of(mdp, doubt, self.rewards), parse_range(self.returns, "returns")

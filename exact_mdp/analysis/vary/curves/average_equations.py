@@ -1,7 +1,7 @@
 """The equations of gain and bias on a section of a parameter's range, as exact polynomials.
 
 Gains g_s = G_s / D and relative values h_s = N_s / D are ratios of polynomials of the parameter θ.
-The gap of pair l in state s is what it loses of the gain, or else of the relative value,
+The gap of pair l in state s is its loss of the gain, or else of the relative value,
 
     G_s - Σ p(l, s') G_s',    or if this is 0 for all θ,    G_s + N_s - D r_l - Σ p(l, s') N_s'.
 
@@ -175,6 +175,7 @@ class AverageEquations(SectionEquations):
 
     def format_place(self, place: Root) -> str:
         """Return a point in words."""
+        place = place.narrow_to_width(Fraction(1, 10**12))
         if place.low == place.high:
             return f"{self.change.name} = {format_rational(place.low)}"
         return f"{self.change.name} ≈ {float((place.low + place.high) / 2):.6g}"

@@ -19,7 +19,7 @@ stopped in, which earns its best average of c (`solvers.endless.quotient`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 
@@ -144,7 +144,6 @@ def exact_average_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         policy = certificate.policy
     chain, undecided = PolicyChain.held_fixed(mdp, policy)
     step = mdp.undiscounted
-    chain = replace(chain, mdp=step)
     own = chain.exactly
     gain, bias, _ = compute_laurent_expansion(own, own.reward)
     share, arrivals = own.compute_limit_distribution(step.start)
@@ -155,13 +154,13 @@ def exact_average_pass(mdp: MDP, policy: PolicyLike) -> Pass:
 
     # The share of time of recurrent pairs, and the expected visits of transient ones.
     visits = np.where(own.classes.recurrent, share, arrivals)
-    uses = np.array([to_flint(0)] * step.n_pairs, dtype=object)
+    uses = np.array([to_flint(0)] * step.n_pairs)
     for state, seen in enumerate(visits):
         if seen:
             for pair, weight in chain.exact_weights(state).items():
                 uses[pair] = to_flint(seen) * to_flint(weight)
     # An average does not depend on the discount: no row moves with it.
-    rows = np.empty(0, dtype=np.int64), np.empty(0, dtype=object)
+    rows = np.empty(0, dtype=np.int64), np.empty(0)
     flint_gain, flint_bias = (np.array([*map(to_flint, each)], object) for each in (gain, bias))
     best = None
     if certificate is not None:
@@ -198,7 +197,7 @@ class BestPolicies:
     @cached_property
     def keeps_gain(self) -> Mask:
         """(L,) True for pairs after which the best average is as great as before."""
-        return np.array([not lost for lost in self.certificate.losses[0]], dtype=bool)
+        return np.array([not lost for lost in self.certificate.losses[0]])
 
     @property
     def keeps_bias(self) -> Mask:

@@ -129,7 +129,7 @@ def piece_violations(
 
     `held` is the policy held fixed; sign is -1 if values at the start are costs. `proven` says that
     the degree of the rows is claimed to be known, not tested at some points. `kind` are the
-    equations: those of totals or of averages.
+    equations: for totals or for averages.
     """
     last, turning = None, list[fmpq_poly]()
     for piece in pieces:

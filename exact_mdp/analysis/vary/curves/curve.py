@@ -37,6 +37,7 @@ from exact_mdp.analysis.vary.curves.roots import (
 )
 from exact_mdp.analysis.vary.curves.walk import pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
+from exact_mdp.mdp.advice import warn_of_zero_reward
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint, to_flint
@@ -416,6 +417,9 @@ def curve(
                         where=f"{mdp.space.place(state)}, for some {name}",
                         fix="give an action there, too, by a mapping or an array over all states",
                     )
+    values = [value for each in pieces for value in (each.value, each.fixed) if value is not None]
+    if not any(any(each.numerator) for each in values):
+        warn_of_zero_reward(mdp)
     checks = [each.change.checked for each in sections if each.change.checked is not None]
     return ValueFunction(
         parameter=parameter_of(family, name),

@@ -175,7 +175,7 @@ class SectionEquations:
 
     def has_different_actions(self, state: int) -> bool:
         """Return whether the actions of a state differ for some θ, in rewards or transitions."""
-        pairs = self.pairs.get(state, range(0))
+        pairs = self.pairs.get(state, ())
         kinds = {(str(self.reward[pair]), str(self.following[pair])) for pair in pairs}
         return len(kinds) > 1
 
@@ -230,7 +230,7 @@ class SectionEquations:
             return False
         models = [self.mdp]
         # A discount may also touch 1 inside.
-        if self.rate.degree() > 0 and roots_on(self.rate - 1, self.low, self.high):
+        if roots_on(self.rate - 1, self.low, self.high):
             models.append(self.mdp.with_(discount=1))
         for end in (self.low, self.high):
             if self.mdp.discount_exact != 1 and self.rate(to_flint(end)) == 1:
@@ -339,7 +339,7 @@ class SectionEquations:
             if not is_zero(self._compute_exit_probability(pair) - sum(p for _, p in others)):
                 following.append(end)
             offsets.append(len(following))
-        owner = np.array([self.state[pair] for pair in self.following], dtype=np.int64)
+        owner = np.array([self.state[pair] for pair in self.following])
         return PairGraph(end + 1, owner, np.array(offsets), np.array(following))
 
     def _compute_exit_probability(self, pair: int) -> fmpq_poly:

@@ -43,6 +43,7 @@ from exact_mdp.analysis.vary.curves.pair_slopes import (
 )
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import list_usual_parameters, unit_of
+from exact_mdp.mdp.advice import warn_of_zero_reward
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_list
 from exact_mdp.mdp.exact import from_flint, to_flint
@@ -329,6 +330,9 @@ def gradient(
     derivatives = {}
     for each in parameters:
         derivatives[each.name] = _compute_derivative(family, mdp, passed, each, is_finite)
+    sides = [side for each in derivatives.values() for side in (each.left, each.right)]
+    if not any(number is not None and number.value for number in (start, *sides)):
+        warn_of_zero_reward(mdp)
     return Gradient(
         model=family.name,
         start=start,
@@ -403,7 +407,7 @@ def _require_finite_side(
     if sign < 0:
         end = change.piece.low
     # The nearest of some points at which no transition vanishes: each does so at few points.
-    roots = sum(max(moved.degree(), 0) for moved in change.transition.moved)
+    roots = sum(moved.degree() for moved in change.transition.moved)
     for k in range(roots + 1):
         near = family.at({change.name: origin + (end - origin) * Fraction(1 + k, 10**6 + roots)})
         if np.isin(moving, transition_entries(near)[0]).all():
@@ -427,8 +431,6 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         certificate = certify_and_check(mdp)
         policy = certificate.policy
     chain, undecided = PolicyChain.held_fixed(mdp, policy)
-    if mdp.discount_exact == 1:
-        chain.require_end()
     if certificate is None:
         level = chain.exact_value
         values, start = level.to_fractions(), Certified(value=level.compute_mean(mdp.start))
@@ -436,10 +438,10 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         values, start = certificate.value, certificate.start
     # An infinite value is 0 here: a parameter that leads to it is refused below.
     finite = [v if isinstance(v, Fraction) else Fraction(0) for v in values]
-    value = np.array([*map(to_flint, finite)], dtype=object)
+    value = np.array([*map(to_flint, finite)])
 
     # Forward: the expected uses of pairs. A terminal state below discount 1 is visited forever.
-    uses = np.array([to_flint(0)] * mdp.n_pairs, dtype=object)
+    uses = np.array([to_flint(0)] * mdp.n_pairs)
     for state, seen in enumerate(chain.exact_visits.to_fractions()):
         if seen:
             if mdp.terminal[state] and mdp.discount_exact != 1:
@@ -447,7 +449,7 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
             for pair, weight in chain.exact_weights(state).items():
                 uses[pair] = to_flint(seen) * to_flint(weight)
     row_keys, top, bottom = transition_entries(mdp)
-    rows = row_keys, np.array(to_flint_ratios(top, bottom), dtype=object)
+    rows = row_keys, np.array(to_flint_ratios(top, bottom))
 
     infinite = _infinite_states(chain)
     if certificate is None:
@@ -462,7 +464,7 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
             refuse_silence(mdp, begun & met & undecided, change.name)
         unique = certificate is None or (certificate.unique and not (begun & met).any())
         if certificate is None or unique:
-            used = np.asarray(uses != 0, dtype=bool)
+            used = np.asarray(uses != 0)
         else:
             seen = find_reachable_states(mdp, pairs=certificate.optimal_pairs)
             used = certificate.optimal_pairs & seen[mdp.pair_state]
@@ -523,7 +525,7 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
             raise ModelError(what, where=place, fix="ask for exact=True")
         gain = compute_advantages(mdp, solution.value)
         tied = mdp.sense.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
-        several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
+        several = np.add.reduceat(tied, mdp.pair_offsets[:-1]) != 1
         several &= find_reachable_states(mdp, pairs=tied) & ~mdp.terminal
         if several.any():
             raise make_tie_error(mdp.space.place(int(several.argmax())))

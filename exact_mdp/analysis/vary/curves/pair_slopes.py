@@ -30,8 +30,8 @@ def list_slopes(
     mdp: MDP, change: RowChange, kind: Callable[[fmpq], Any], rows: tuple[Integers, Numbers]
 ) -> tuple[Integers, Numbers, Integers, Numbers]:
     """Return keys and slopes of discounted transitions (P has `rows`), and of rewards."""
-    slopes = np.array([*map(kind, change.transition.slope)], dtype=rows[1].dtype)
-    gains = np.array([*map(kind, change.reward.slope)], dtype=rows[1].dtype)
+    slopes = np.array([*map(kind, change.transition.slope)])
+    gains = np.array([*map(kind, change.reward.slope)])
     keys, slopes = change.transition.key, slopes * kind(to_flint(mdp.discount_exact))
     if change.rate[1]:
         keys = np.concatenate([keys, rows[0]])

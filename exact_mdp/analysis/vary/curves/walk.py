@@ -75,13 +75,13 @@ class Sweep:
             self.fixed = compute_policy_values(equations, held)
         self.start = equations.weigh_start(sign)
         self.ahead: dict[int, list[Root]] = {}  # by pair, the roots at which its gap turns
-        self.policy: Integers = np.empty(0, dtype=np.int64)
+        self.policy: Integers  # a pair of each state, by `_follow_policy`
 
     def yield_pieces(self, policy: Integers) -> Iterator[CurvePiece]:
         """Yield the pieces, beginning with a policy (S,) that may not be optimal."""
         # The lower end of the section counts as a root: find the policy just beyond it.
         self._follow_policy(policy)
-        first = Root(poly=fmpq_poly([to_flint(-self.low), 1]), low=self.low, high=self.low)
+        first = Root(poly=fmpq_poly(), low=self.low, high=self.low)
         steps = ((self.high - self.low) / 64 * Fraction(3, 64) ** k for k in count())
         here = self._cross_root(first, ((self.low, self.low + step) for step in steps))[1]
         before: Bracket = (self.low, self.low)
@@ -119,7 +119,7 @@ class Sweep:
         known = self.ahead.get(pair)
         if known is None or (known and known[0].low < here):
             poly, known = self.gap[pair], []
-            if poly.degree() > 0 and count_sign_variations(poly, here, self.high):
+            if count_sign_variations(poly, here, self.high):
                 # Narrow each root once, so that later comparisons are quick.
                 width = (self.high - self.low) / 2**8
                 turning = isolate_roots(odd_part(poly), here, self.high)
@@ -464,7 +464,7 @@ def _interpolate_values(
     numbers, samples = list[int](), list[list[fmpq]]()
     # D is 0 at a few points at most, where a policy that may stay forever does so: its degree is
     # below `size`, so that twice as many points are enough.
-    for k in range(1, 2 * size + 1):
+    for k in range(1, 2 * size):
         if len(samples) == size:
             break
         at, matrix = to_flint(low + step * k), [to_flint(0)] * states**2

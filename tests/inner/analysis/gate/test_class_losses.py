@@ -10,7 +10,7 @@ import oracle
 import pytest
 from small_models import Chances, given, random_policy, small_model
 
-from exact_mdp import MDP
+from exact_mdp import MDP, check
 from exact_mdp.analysis.gate.class_losses import (
     _find_third_order_losses,
     chain_of_pairs,
@@ -126,7 +126,28 @@ def test_optimal_actions_are_those_of_optimal_policies() -> None:
     assert compared > 20
 
 
-def test_in_infinite_states_an_action_leads_to_where_the_optimum_stays() -> None:
+def test_who_is_worth_infinity_takes_actions_that_some_endless_gain_takes() -> None:
+    """Of those that lead to +∞ again, some earn nothing if they are taken forever."""
+    fewer = 0
+    for mdp in waiting_models(60):
+        rows, proof = oracle.rows_of(mdp), proven_optimum(mdp)
+        optimal = np.array(proof.optimal_pairs)
+        attained = set[int]()
+        for choice in product(*(mdp.pairs_of(s) for s in range(4))):
+            total = oracle.total([rows[pair] for pair in choice])
+            attained |= {choice[s] for s in range(4) if total[s] == inf}
+        for state in np.flatnonzero(proof.infinite_sign > 0).tolist():
+            every = {pair for pair in mdp.pairs_of(state) if optimal[pair]}
+            found = {*find_attaining_pairs(mdp, proof, optimal, state)}
+            assert found == attained & {*mdp.pairs_of(state)} <= every
+            fewer += found < every
+    assert fewer > 9
+    rows = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 0, 2)]), (0, 2, [(1, 0, 1)])]
+    (wrong,) = check(MDP.from_outcomes(rows), [0]).disagreements
+    assert wrong.optimal == ("1", "2")
+
+
+def test_elsewhere_an_action_leads_to_where_the_optimum_stays() -> None:
     """Other optimal actions lead there without coming back; below zero all actions do as well."""
     signs = set[int]()
     ways: list[Any] = [[(1, 1, 0)], [(1, 0, -1)]]
@@ -137,7 +158,7 @@ def test_in_infinite_states_an_action_leads_to_where_the_optimum_stays() -> None
         sign, optimal = proof.infinite_sign, np.array(proof.optimal_pairs)
         stay = {s for each in oracle.classes([rows[p] for p in proof.pairs]) for s in each}
         free = find_zero_reward_pairs(mdp, proof, optimal)
-        for state in range(3):
+        for state in np.flatnonzero(sign[:3] <= 0).tolist():
             wanted = {pair for pair in mdp.pairs_of(state) if optimal[pair]}
             if len(wanted) > 1 and state not in stay and sign[state] >= 0:
                 ends = stay | {rows[pair][0] for pair in np.flatnonzero(free)}
@@ -154,7 +175,7 @@ def test_in_infinite_states_an_action_leads_to_where_the_optimum_stays() -> None
                 wanted = some or wanted
             signs.add(int(sign[state]))
             assert {*find_attaining_pairs(mdp, proof, optimal, state)} == wanted
-    assert signs == {-1, 0, 1}
+    assert signs == {-1, 0}
 
 
 def test_pairs_that_may_earn_nothing_for_ever() -> None:

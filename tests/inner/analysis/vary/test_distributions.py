@@ -810,7 +810,7 @@ def test_settings_by_other_words() -> None:
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"interval": [5, 20], "mean": 7}, "without other numbers"),
+        ({"interval": [5, 20], "mean": 7}, r"an interval \[5, 20\] beside mean\n.*\n.*alone"),
         ({"interval": 5}, "write interval"),
         ({"interval": [5]}, "write interval"),
         ({"interval": [20, 5]}, "no gamma has the 95 % interval from 20.0 to 5.0"),

@@ -346,11 +346,12 @@ DRAWS = pd.DataFrame({"a": [1.0, 2.0]})
         ({"a": [1, 2]}, {"a": [1]}, None, "tables of 1 and 2 rows"),
         ({"a": [1, 2]}, {"a": [1, 2]}, {"p": [1]}, "tables of 1 and 2 rows"),
         ({"a": "much"}, {"a": 1}, None, "not a list of numbers"),
-        ({"a": np.nan}, {"a": 1}, None, "not a list of numbers"),
+        ({"a": np.nan}, {"a": 1}, None, "a number is nan"),
         ({"a": [[1]]}, {"a": 1}, None, "not a list of numbers"),
         ({}, {}, None, "no column"),
         ([1, 2], [1, 2], None, "list is not a table"),
         (DRAWS, DRAWS[::-1], None, "effect has other row labels than cost"),
+        (DRAWS, DRAWS[:1], None, "effect has 1 rows, cost has"),
         ({"a": [1, 2]}, DRAWS, DRAWS.set_index("a"), "parameters has other row labels than effect"),
     ],
 )
@@ -605,4 +606,15 @@ def test_strategies_have_names_and_components_are_those_of_the_model() -> None:
     asked: list[dict[str, Any]] = [{"effect": "life"}, {"cost": "life"}]
     for names in asked:
         call = partial(cost_effectiveness, MODEL, POLICIES, **names)
-        refused(call, "=unknown component 'life'", "=cost-effectiveness", "choose one of")
+        refused(call, "=unknown component 'life'", f"={next(iter(names))}", "choose one of")
+
+
+def test_a_rate_in_place_of_a_discount_is_warned_of() -> None:
+    today = MODEL.at({})
+    with pytest.warns(UserWarning, match=r"is 0\.03, .* a rate is meant, give 100/103,"):
+        cost_effectiveness(today.with_(discount="3/100"), POLICIES)
+    with pytest.warns(UserWarning, match=r"the discount of cost is 0\.03, ") as warned:
+        cost_effectiveness(today, POLICIES, discount={"cost": 0.03})
+    assert [each.filename for each in warned] == [__file__]
+    for factor in (0, "1/2", 1):  # a warning would be an error here
+        cost_effectiveness(today, POLICIES, discount={"qaly": factor})

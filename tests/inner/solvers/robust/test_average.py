@@ -183,6 +183,10 @@ def test_sets_that_make_outcomes_impossible_need_a_state_that_is_always_met_agai
     for nature, value in (("worst", F(1, 2)), ("best", F(1))):
         found = solve_robust(back, L1Ball(radius=1), nature=nature, criterion="average")
         assert found.value == pytest.approx([float(value)] * 2, abs=1e-9)
+    # State 0 keeps a chance of 1/8 in every row, and yet this is refused, in words that are true.
+    kept = MDP.from_outcomes([(s, 0, [("5/8", 0, s), ("3/8", 1, s)]) for s in (0, 1)])
+    with pytest.raises(ModelError, match="if they may leave any single one, no state"):
+        solve_robust(kept, L1Ball(radius="3/4"), criterion="average")
     mixed = solve_robust(mdp.with_(sense="min"), L1Ball(radius="1/2"), criterion="average")
     assert mixed.value == pytest.approx([0.75] * 2, abs=1e-9)
 

@@ -21,7 +21,7 @@ from exact_mdp.analysis.gate.data.robust import (
     robust_bounds,
 )
 from exact_mdp.analysis.gate.data.sets import RowSets
-from exact_mdp.solvers.claims import Claim
+from exact_mdp.solvers.claims import Claim, SolverError
 
 NEAR = 1e-7
 
@@ -392,6 +392,8 @@ def test_an_interval_says_what_it_rests_on() -> None:
     assert "rewards lie from 0 to 1, as stated" in interval.assumptions
     stated = Robust(rewards=(0, 1), returns=(0, 10)).interval(mdp, own, F(9, 10))
     assert "total rewards lie from 0 to 10, as stated" in stated.assumptions
+    with pytest.raises(SolverError, match=r"beyond the range.*scale the rewards"):
+        Robust(rewards=(0, 1e308)).interval(mdp, own, F(9, 10))
     with pytest.raises(ModelError, match="with a horizon"):
         Robust(rewards=(0, 1), returns=(0, 5)).interval(mdp, own_of(mdp, STAGES), F(9, 10))
 

@@ -124,6 +124,24 @@ def test_a_jump_is_refused_and_a_piece_that_covers_it_is_not_accepted() -> None:
     assert refused.value.where == "t = 0"
 
 
+@pytest.mark.parametrize(
+    ("zeros", "place"),
+    [([0, -1, 3], "t = 0.333333"), ([-1, 0, 2], "t ≈ 0.707107"), ([1, -9, 14], "t ≈ 0.142857")],
+)
+def test_the_first_point_of_a_jump_is_named(zeros: list[int], place: str) -> None:
+    """State 0 is left with chance q², where q(t) is 0 between 0 and 1."""
+
+    def build(at: dict[str, F]) -> MDP:
+        p = (sum(c * at["t"] ** k for k, c in enumerate(zeros)) / 9) ** 2
+        rows = [(0, 0, [(1 - p, 0, 1), (p, 1, 1)] if p else [(1, 0, 1)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows)
+
+    family = Family(parameters={"t": "1/4"}, build=build, degrees={"t": 4})
+    with pytest.raises(ModelError, match="the average may jump") as refused:
+        curve(family, "t", ("1/9", 1), criterion="average")
+    assert refused.value.where == place
+
+
 def paused(at: dict[str, F]) -> MDP:
     """State 0 earns 2 where it stays; the other action goes, with chance t, to a state of 3."""
     t = at["t"]

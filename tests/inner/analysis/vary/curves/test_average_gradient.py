@@ -92,6 +92,18 @@ def test_an_average_does_not_move_with_the_discount(exact: bool, policy: Any) ->
 
 
 @EXACTLY
+@pytest.mark.parametrize("policy", ["optimal", [0, 0]])
+def test_a_discount_may_move_with_the_chances(exact: bool, policy: Any) -> None:
+    """g = q / (t + q) at discount t."""
+
+    def build(at: Any) -> MDP:
+        return two_states({"p": at["t"], "q": F(1, 5), "r": 1}).with_(discount=at["t"])
+
+    value, error = slope_of(family_of(build, t="1/3"), "t", exact=exact, policy=policy)
+    assert abs(value + F(1, 5) / F(8, 15) ** 2) <= error < F(1, 10**12)
+
+
+@EXACTLY
 def test_a_policy_may_be_silent_where_a_run_has_ended_nearby_too(exact: bool) -> None:
     """State 2 is terminal at t = 0, and state 1 always; the run ends in either of them."""
 
@@ -110,10 +122,10 @@ def test_a_policy_may_be_silent_where_a_run_has_ended_nearby_too(exact: bool) ->
 
 
 def test_a_best_policy_may_lose_what_is_earned_once() -> None:
-    """max(1, t) at 1: beyond it, the way to t is best, which earns 5 or 1 less once."""
+    """max(1, t) at 1: beyond it, the way to t is best, which earns 6 or 1 less once."""
 
     def build(at: Any) -> MDP:
-        rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 2, 0)])]
+        rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 2, -1)])]
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, at["t"])])])
 
     def stay_or_go(at: Any) -> MDP:
@@ -235,7 +247,7 @@ def test_costs_have_the_derivatives_of_rewards_turned_round() -> None:
 def test_random_models_beside_differences(sense: str, today: F) -> None:
     """At t = 0 transitions appear: where the average jumps, the derivative is refused."""
     answered, refused = 0, 0
-    for seed in range(16):
+    for seed in range(6):
         rng = Random(f"{sense} {today} {seed}")
         family = moved_family(rng, today, sense)
         held = [rng.randrange(len(family.at({}).pairs_of(s))) for s in range(4)]
@@ -285,7 +297,7 @@ def tied_family(rng: Random, today: F, sense: str) -> Family:
 @pytest.mark.parametrize("sense", ["max", "min"])
 def test_ties_have_the_slopes_of_both_sides(sense: str) -> None:
     bent = 0
-    for seed in range(24):
+    for seed in range(10):
         today = F(1, 3)
         family = tied_family(Random(f"{sense} {seed}"), today, sense)
         here, slopes = average_of(family.at({})), []
@@ -306,7 +318,7 @@ def test_where_the_average_jumps_no_derivative_is_given() -> None:
         rng = Random(f"jump {seed}")
         family = moved_family(rng, F(0), rng.choice(("max", "min")), sure_rows(rng))
         held = [rng.randrange(len(family.at({}).pairs_of(s))) for s in range(4)]
-        for policy in ("optimal", held):
+        for policy in ("optimal", held)[seed >= 20 :]:
             here, there = (average_of(family.at({"t": t}), policy) for t in (F(0), H))
             jumping = abs(there - here) > F(1, 1000)
             try:
@@ -320,8 +332,7 @@ def test_where_the_average_jumps_no_derivative_is_given() -> None:
             assert not jumping
             assert abs(value - (there - here) / H) < F(1, 10**9)
             given += 1
-    assert (jumps, given) == (25, 60)
-    assert careful <= 35
+    assert (jumps, careful, given) == (18, 14, 48)
 
 
 def move_numbers(found: Any, part: str, off: float, rng: Random) -> Any:
@@ -341,7 +352,7 @@ def test_the_error_covers_what_the_values_are_off(policy: str, monkeypatch: Any)
     """Gain, bias, shares and arrivals move within their bounds: so does the slope."""
     answered, off = 0, 2.0**-20
     monkeypatch.setattr(average_gradient, "_find_rivals", lambda *_: np.zeros(4, dtype=bool))
-    for seed in range(20):
+    for seed in range(8):
         rng = Random(f"off {seed}")
         family = moved_family(rng, F(1, 3), "max")
         try:
@@ -396,14 +407,28 @@ def test_an_action_that_is_as_good_stays_a_rival_as_far_as_errors_go() -> None:
     assert rivals_of(nothing, [0], **still) == [True]
 
 
+def test_a_loss_of_bias_is_larger_than_the_roundings_of_two_terms(monkeypatch: Any) -> None:
+    """By its other action state 0 loses δ, or 1 - δ with its gain of 1: 4 2^-20 is in doubt.
+
+    Here a unit is 2^-20, two of which count, of 2 in all. State 1, apart, earns 9.
+    """
+    off = 2.0**-20
+    monkeypatch.setattr(average_gradient, "gamma", lambda terms: terms * off)
+    for lost, rival in ((3.9 * off, True), (4.1 * off, False)):
+        mdp = MDP.from_outcomes(
+            [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 0, 1 - lost)]), (1, 0, [(1, 1, 9)])]
+        )
+        assert rivals_of(mdp, [0, 0]) == [rival, False]
+
+
 def test_the_bound_counts_each_rounding(monkeypatch: Any) -> None:
-    """With a unit of 2^-20 and numbers that are exact, each rounding that is counted shows.
+    """With a unit of 1/16 and numbers that are exact, each rounding that is counted shows.
 
     A use is a product with a weight of some roundings; c is a sum of a row of two products, and
     the derivative one of two pairs.
     """
-    off = 2.0**-20
-    monkeypatch.setattr(average_gradient, "gamma", lambda terms: terms * off)
+    unit = F(1, 16)
+    monkeypatch.setattr(average_gradient, "gamma", lambda terms: terms * float(unit))
 
     def build(at: Any) -> MDP:
         rewards = (at["t"], 0)
@@ -413,9 +438,48 @@ def test_the_bound_counts_each_rounding(monkeypatch: Any) -> None:
 
     family, mdp = family_of(build, t=1), build({"t": 1})
     value, error = slope_of(family, "t", policy=[0, 0], exact=False)
-    roundings = 4 + PolicyChain.of(mdp, [0, 0]).roundings + 2 * 2 + 2 + 8
+    doubt = (4 + PolicyChain.of(mdp, [0, 0]).roundings) * unit / 2
+    bound = doubt + (2 * 2 + 2 + 8) * unit * (F(1, 2) + doubt)
     assert value == F(1, 2)
-    assert roundings * F(off) / 2 <= error <= roundings * F(off) / 2 + F(1, 10**9)
+    assert bound <= error <= bound * (1 + F(1, 2**18))
+
+
+def test_the_bound_is_the_sum_of_what_each_error_may_do(monkeypatch: Any) -> None:
+    """State 0 is left for state 1 or 2; from state 1 to state 3 and back. All chances move with t.
+
+    In state 0 the gain counts and its error, in states 1 and 3 the bias and the reward 5 t.
+    """
+    slopes: list[dict[int, int]] = [{0: 1, 1: 2, 2: -3}, {1: 1, 3: -1}, {}, {1: -2, 3: 2}]
+
+    def build(at: Any) -> MDP:
+        t = at["t"]
+        rows = [(0, 0, [(t, 0, 9 * t), (2 * t, 1, 9 * t), (1 - 3 * t, 2, 9 * t)])]
+        rows += [(1, 0, [(t, 1, 5 * t), (1 - t, 3, 5 * t)]), (2, 0, [(1, 2, 4)])]
+        return MDP.from_outcomes([*rows, (3, 0, [(1 - 2 * t, 1, 0), (2 * t, 3, 0)])], start=0)
+
+    found = evaluate_average(PolicyChain.of(build({"t": F(1, 4)}), [0] * 4))
+    off = dict(zip(("share", "arrivals", "gain", "bias"), 2.0 ** np.arange(-8, -4), strict=True))
+    each = {name: off[name] * np.arange(1, 5) for name in off}
+    moved = replace(
+        found,
+        share=BoundedVector(value=found.share.value, error=each["share"]),
+        arrivals=BoundedVector(value=found.arrivals.value, error=each["arrivals"]),
+        error=each["gain"],
+        bias_error=each["bias"],
+    )
+    monkeypatch.setattr(average_gradient, "evaluate_average", lambda _: moved)
+    _, error = slope_of(family_of(build, t="1/4"), "t", policy=[0] * 4, exact=False)
+    bound = F(0)
+    for state, moves in enumerate(slopes):
+        parts = (found.share, "share", found.bias, "bias")
+        if state == 0:
+            parts = (found.arrivals, "arrivals", found.value, "gain")
+        use, of_use, number, of_number = parts
+        doubt = F(each[of_use][state])
+        size = sum(abs(k) * abs(F(number[to])) for to, k in moves.items()) + 5 * (state == 1)
+        loose = sum(abs(k) * F(each[of_number][to]) for to, k in moves.items())
+        bound += doubt * size + (F(use.value[state]) + doubt) * loose
+    assert bound <= error <= bound * (1 + F(1, 2**18))
 
 
 @EXACTLY
@@ -431,6 +495,17 @@ def test_an_average_that_jumps_is_refused(exact: bool) -> None:
     for policy in ("optimal", [0, 0]):
         with pytest.raises(ModelError, match="the average may jump"):
             gradient(family, policy=policy, criterion="average", exact=exact)
+
+    # By another action a run may stay: then the average is 1 next to today, too.
+    def build_two(at: Any) -> MDP:
+        t = at["t"]
+        leak = [(1 - t, 0, 1), (t, 1, 1)] if t else [(1, 0, 1)]
+        return MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, leak), (1, 0, [(1, 1, 0)])])
+
+    stays = Family(parameters=family.parameters, build=build_two)
+    with pytest.raises(ModelError, match="the average may jump"):
+        slope_of(stays, "t", policy=[1, 0], exact=exact)
+    assert slope_of(stays, "t", policy=[0, 0], exact=exact)[0] == 0
 
 
 def test_what_has_no_average_is_refused() -> None:

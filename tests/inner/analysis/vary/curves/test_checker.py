@@ -12,6 +12,7 @@ import pytest
 from flint import fmpq_poly
 
 from exact_mdp import MDP, Family, curve
+from exact_mdp.analysis.vary.curves.average_equations import AverageEquations
 from exact_mdp.analysis.vary.curves.checker import (
     CurvePiece,
     RationalFunction,
@@ -96,8 +97,8 @@ def test_the_policy_held_fixed_has_its_own_rules() -> None:
 
 @pytest.mark.parametrize("x", [F(0), F(1, 3), F(-5, 2)])
 def test_a_ratio_has_its_value_and_derivative(x: F) -> None:
-    """(2 + 4 x) (1 + x) / ((6 + 2 x) (1 + x)), and its derivative 20 / (6 + 2 x)²."""
-    shared = fmpq_poly([1, 1])
+    """(2 + 4 x) (5 + x) / ((6 + 2 x) (5 + x)), and its derivative 20 / (6 + 2 x)²."""
+    shared = fmpq_poly([5, 1])
     values = (fmpq_poly([2, 4]) * shared, fmpq_poly([0, 9])), fmpq_poly([6, 2]) * shared
     found = RationalFunction.of(((0, F(1)),), values)
     assert found.denominator[0] == 1
@@ -185,6 +186,17 @@ def test_an_action_may_not_be_better_between_the_threshold_and_the_bracket() -> 
         assert said == ["nothing proves the optimum next to 0.625"] * (not sound)
 
 
+def test_no_action_may_be_better_up_to_the_threshold_within_the_bracket() -> None:
+    """x - 1/2 passes 0 at 1/2, and (7/16 - x) (x - 1/2) is above 0 between 7/16 and 1/2."""
+    near = F(3, 8), F(5, 8)
+    one = piece((0, 0), near, [True, False, False], [0], WHOLE)
+    other = piece(near, (1, 1), [False, True, False], ["-1/2", 1], WHOLE)
+    for turn, sound in ((F(7, 16), False), (F(3, 4), True)):
+        third = (-turn / 2, turn + F(1, 2), -1)
+        said = refused(lines((0,), ("-1/2", 1), third), one, other)
+        assert said == ["nothing proves the optimum next to 0.625"] * (not sound)
+
+
 def test_pieces_of_a_section_join_and_are_of_its_values() -> None:
     family = lines((1, -1), (0, 1))
     near = F(3, 8), F(5, 8)
@@ -193,8 +205,7 @@ def test_pieces_of_a_section_join_and_are_of_its_values() -> None:
     assert refused(family, one, other) == []
     gap = F(5, 8), F(3, 4)
     assert any("nothing proves" in x for x in refused(family, one, replace(other, low=gap)))
-    early = (F(1, 8), F(1, 4)), (F(1, 4), F(3, 8))
-    for between in early:  # not where the lines cross
+    for between in ((F(1, 8), F(1, 4)), (F(1, 4), F(3, 8))):  # not where the lines cross
         said = refused(family, replace(one, high=between), replace(other, low=between))
         assert said == ["a pair of state 0 is better from " + format_rational(between[1]) + " on"]
     late = F(3, 4), F(7, 8)
@@ -203,6 +214,10 @@ def test_pieces_of_a_section_join_and_are_of_its_values() -> None:
     assert any("outside" in x for x in refused(family, one, replace(other, high=(F(1), F(2)))))
     wide = replace(one, low=(F(0), F(1, 8)))
     assert any("nothing proves" in x for x in refused(family, wide, other))
+    early = replace(one, low=(F(-1, 8), F(1, 8)))
+    assert "the piece from 0.125 on is outside its section" in refused(family, early, other)
+    point = replace(one, low=(F(1, 4), F(1, 4)), high=(F(1, 4), F(1, 4)))
+    assert refused(family, point) == []
     both = replace(one, optimal=np.array([True, True, False]))
     assert any("are not those that are optimal" in x for x in refused(family, both, other))
     none = replace(one, optimal=np.array([False, False, False]))
@@ -286,13 +301,16 @@ def test_a_policy_must_end_where_others_need_not() -> None:
 
 
 def test_a_policy_must_end_at_the_very_ends_of_a_piece() -> None:
-    """With chance x² it ends but at 0: whether 0 is where a piece begins, or where it ends."""
+    """With chance x² it ends but at 0: whether 0 is where a piece begins, or where it ends.
+
+    The brackets of both ends count.
+    """
     for low, high, ends in ((0, F(1, 2), False), (F(-1, 2), 0, False), (F(1, 4), F(1, 2), True)):
         whole = Piece(low=F(low), high=F(high), origin=F(low + high) / 2)
         equations = SectionEquations(COSTLY, "x", whole)
         each = CurvePiece(
-            low=(F(low), F(low)),
-            high=(F(high), F(high)),
+            low=(F(low), F(low) + F(1, 8)),
+            high=(F(high) - F(1, 8), F(high)),
             section=whole,
             optimal=np.array([False, True, False, False]),
             start=((0, F(1)),),
@@ -300,7 +318,7 @@ def test_a_policy_must_end_at_the_very_ends_of_a_piece() -> None:
         )
         each = replace(each, fixed_values=each.values)
         equations.update_gaps(each.values)
-        at = format_rational(F(low))
+        at = format_rational(F(low) + F(1, 8))
         optimal = [*_not_optimal(equations, each, set())]
         assert (ENDLESS[0].format(at) in optimal) == (not ends)
         fixed = [*_not_of(equations, each, held(1))]
@@ -311,6 +329,36 @@ def test_a_policy_must_end_at_the_very_ends_of_a_piece() -> None:
         assert len(optimal) == len(fixed) == 2 * (not ends)
         other = "the policy held fixed has another value in state 0 from {} on"
         assert [*_not_of(equations, each, held(2))][-1] == other.format(at)
+
+
+def test_averages_are_looked_at_where_a_transition_vanishes() -> None:
+    """State 0 goes to a state of 3 for 5, or by the other action for 6 unless, with chance t, to 1.
+
+    At t = 0, where both keep the gain, the second is better.
+    """
+
+    def build(at: dict[str, F]) -> MDP:
+        t = at["t"]
+        moves = [(c, to, 6) for c, to in ((1 - t, 1), (t, 2)) if c]
+        rows = [(0, 0, [(1, 1, 5)]), (0, 1, moves), (1, 0, [(1, 1, 3)]), (2, 0, [(1, 2, 1)])]
+        return MDP.from_outcomes(rows)
+
+    equations = AverageEquations(Family(parameters={"t": "1/2"}, build=build), "t", WHOLE)
+    numbers = [2, 0, 0, 3, 3, 1, 3]  # h, then g, then g at the start
+    values = [fmpq_poly([number]) for number in numbers], fmpq_poly([1])
+    equations.update_gaps(values)
+    first = CurvePiece(
+        low=(F(0), F(1, 8)),
+        high=(F(1), F(1)),
+        section=WHOLE,
+        optimal=np.array([True, False, True, True]),
+        start=equations.weigh_start(1),
+        values=values,
+    )
+    said = ["nothing proves the optimum at t = 0, where a transition vanishes"]
+    assert [*_not_optimal(equations, first, set())] == said
+    beyond = replace(first, low=(F(1, 9), F(1, 8)))
+    assert [*_not_optimal(equations, beyond, set())] == []
 
 
 def test_a_terminal_state_is_worth_nothing() -> None:

@@ -90,6 +90,12 @@ def test_a_policy_is_within_a_tolerance_exactly_where_it_loses_no_more(seed: int
         sure = any(each.low[1] <= x <= each.high[0] for each in inside)
         maybe = any(each.low[0] <= x <= each.high[1] for each in inside)
         assert sure <= (lost <= tolerance) <= maybe
+    share = {x: lost / abs(found.at(x)) for x, lost in loss.items()}
+    inside = found.within(max_relative_regret=sorted(share.values())[30])
+    for x, lost in share.items():
+        sure = any(each.low[1] <= x <= each.high[0] for each in inside)
+        maybe = any(each.low[0] <= x <= each.high[1] for each in inside)
+        assert sure <= (lost <= sorted(share.values())[30]) <= maybe
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -166,6 +172,24 @@ def test_a_limit_is_kept_from_root_to_root(
         assert ends(found) == got
 
 
+def test_what_is_lost_may_touch_a_limit_where_pieces_meet() -> None:
+    """1/2 - |x - 1/2|, at a breakpoint; or 1 - y² + max(0, y³), with y = x - 1/2, at a threshold.
+
+    A threshold is known up to a bracket, inside which nothing is said.
+    """
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, F(1, 2) - abs(at["x"] - F(1, 2)))])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+
+    family = Family(parameters={"x": "1/4"}, build=build, breaks={"x": ["1/2"]})
+    broken = curve(family, "x", (0, 1), policy=[0, 0])
+    assert len(broken.pieces) == 2
+    assert ends(broken, "1/2") == [(0, 1)]
+    bent = held([0], ["3/4", 1, -1], ["5/8", "7/4", "-5/2", 1])
+    assert ends(bent, 1) == [(0, pytest.approx(0.5)), (pytest.approx(0.5), 1)]
+
+
 @pytest.mark.parametrize("sense", ["max", "min"])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_relative_limit_is_a_share_of_the_absolute_optimum(seed: int, sense: str) -> None:
@@ -222,6 +246,13 @@ def test_a_cover_with_a_hole_is_refused() -> None:
         assert any("no piece covers" in each for each in replace(found, pieces=pieces).violations())
 
 
+def test_a_degree_that_was_tested_is_not_proven() -> None:
+    found = held(["1/4"], [0, 0, 1])
+    assert replace(found, checked=None).violations() == [
+        "the degree of the rows was tested at some points, not proven"
+    ]
+
+
 def test_the_report_has_the_ends_values_and_actions_of_pieces() -> None:
     """From 1/9 to 1: 1/4, then x² from 1/2 on."""
     found = held(["1/4"], [0, 0, 1], low="1/9")
@@ -255,6 +286,7 @@ def test_the_report_has_the_ends_values_and_actions_of_pieces() -> None:
     assert frame["claim"].tolist() == ["checked", "checked"]
     table = report.tables["pieces"]
     assert list(table.columns) == ["from", "to", "value from", "value to", "degree"]
+    assert table.note == "each is a ratio of polynomials with exact coefficients"
     assert (report.title, len(table.rows)) == ("curve", 2)
 
 
@@ -278,6 +310,8 @@ def test_values_at_the_ends_of_a_piece_are_taken_inside_its_brackets() -> None:
         (F(22, 7), F(22, 7), F(22, 7)),
         (F(5), F(5) + F(1, 10**13), F(5)),
         (F(5) - F(1, 10**13), F(5), F(5)),
+        (F(1), F(8, 5), F(1)),  # an integer before 3/2
+        (F(1, 4), F(13, 44), F(2, 7)),  # one digit before 3/11
         (F(12345, 67891), F(12345, 67891), F(12345, 67891)),
         (F(-3, 11) - F(1, 10**9), F(-3, 11) + F(1, 10**10), F(-3, 11)),
     ],
@@ -382,5 +416,8 @@ def test_the_best_policy_of_today_is_that_of_the_criterion() -> None:
     assert ends(found) == [(1, 3)]
     still = curve(family.at({}), "discount", (0, 1), criterion="average")
     assert (still.range.high, still.at(1)) == (1, F(3, 2))
+    random = curve(replace(family, parameters={"x": "1/2"}), "x", (0, 3), policy="random",
+                   criterion="average")  # fmt: skip
+    assert [random.fixed_at(x) for x in (0, 1, 2)] == [0, 1, 2]
     with pytest.raises(ModelError, match="has no horizon"):
         curve(family.at({}).within(3), "discount", (0, 1), criterion="average")

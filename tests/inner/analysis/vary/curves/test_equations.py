@@ -517,14 +517,47 @@ def test_values_that_move_by_one_state_are_others() -> None:
     equations = made(False)
     values = tuple(fmpq_poly([k, 1]) for k in (1, 2, 5)), fmpq_poly([1])
     equations.update_gaps(values)
-    turned = (*values[0][1:], values[0][0]), values[1]
-    for pair in equations.following:
-        total = equations.reward[pair]
-        total += sum((p * turned[0][to] for to, p in equations.following[pair]), fmpq_poly())
-        assert equations.compute_action_value(pair, turned) == total
+    for k in (1, 2):
+        turned = (*values[0][k:], *values[0][:k]), values[1]
+        for pair in equations.following:
+            total = equations.reward[pair]
+            total += sum((p * turned[0][to] for to, p in equations.following[pair]), fmpq_poly())
+            assert equations.compute_action_value(pair, turned) == total
 
 
 def test_the_pairs_of_a_policy_have_weights() -> None:
     half = to_flint(F(1, 2))
     assert list_pairs([[(0, half), (1, half)], [(2, to_flint(F(0))), (3, half + half)], []]) == [
         0, 1, 3]  # fmt: skip
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_values_of_a_policy_are_told_from_others_state_by_state(ends: bool) -> None:
+    """Of 2/3 and 1/3 in state 0: D v = D (r + γ P v), solved by hand; state 2 is worth 0."""
+    equations, third = made(ends), to_flint(F(1, 3))
+    policy = [[(0, 2 * third), (1, third)], [(2, to_flint(F(1)))], []]
+    # v0 = (8 x + 1) / 3 + (2 x + 1) / 4 v1; v1 = x, or x / 2 + 3/8 v0.
+    rest, share = fmpq_poly([1, 8]) / 3, fmpq_poly([1, 2]) / 4
+    below, first = fmpq_poly([1]), rest + share * fmpq_poly([0, 1])
+    second = fmpq_poly([0, 1])
+    if not ends:
+        below = 1 - share * 3 / 8
+        first = rest + share * fmpq_poly([0, 1]) / 2
+        second = fmpq_poly([0, 1]) / 2 * below + first * 3 / 8
+    numbers = [first, second, fmpq_poly()]
+    assert [*equations.find_policy_faults(policy, (numbers, below))] == []
+    assert [*equations.find_value_faults((numbers, below))] == []
+    for state, faults in ((0, [0] if ends else [0, 1]), (1, [0, 1]), (2, [])):
+        for more in (fmpq_poly([1]), fmpq_poly([0, 1])):
+            wrong = [number + more * (k == state) for k, number in enumerate(numbers)]
+            assert [*equations.find_policy_faults(policy, (wrong, below))] == faults
+            said = ["a terminal state is worth something"] * (state == 2)
+            assert [*equations.find_value_faults((wrong, below))] == said
+
+
+def test_the_start_is_weighed() -> None:
+    mdp = family(True).at({}).with_(start={0: "1/3", 1: "2/3"})
+    section = Piece(low=F(1, 4), high=F(3, 4), origin=F(1, 2))
+    equations = SectionEquations(parametric(mdp), "discount", section)
+    assert equations.weigh_start(1) == ((0, F(1, 3)), (1, F(2, 3)))
+    assert equations.weigh_start(-1) == ((0, F(-1, 3)), (1, F(-2, 3)))

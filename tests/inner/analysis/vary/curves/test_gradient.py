@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from average_models import two_states
 from curved_models import KINDS, CurvedModel, curved_model
 from oracle import rows_of
 
@@ -231,8 +232,13 @@ def test_rationals_are_taken_of_models_that_are_small_or_without_cycles(
     assert claims(ring(65, share=long)) is Claim.BOUNDED
     assert claims(uniform(100)) is Claim.CERTIFIED
     assert claims(uniform(101)) is Claim.BOUNDED
-    monkeypatch.setattr(inner, "EXACT_TRANSITIONS", 10)
-    assert claims(ring(300, line=True)) is Claim.BOUNDED
+    more = np.zeros((1, 101, 101), dtype=object)
+    more[0, :100, :100], more[0, 100, 0] = F(1, 100), 1
+    assert claims(MDP.from_arrays(more, np.arange(101), "1/2")) is Claim.BOUNDED
+    line = ring(300, line=True)
+    for fewer, claim in ((0, Claim.CERTIFIED), (1, Claim.BOUNDED)):
+        monkeypatch.setattr(inner, "EXACT_TRANSITIONS", line.n_transitions - fewer)
+        assert claims(line) is claim
 
 
 # ---- what is refused -----------------------------------------------------------------------------
@@ -360,7 +366,20 @@ def test_at_a_tie_states_that_no_best_policy_meets_are_not_refused() -> None:
     assert each.right.value == 1
     with pytest.raises(ModelError, match="the optimal value of a state is infinite") as caught:
         gradient(family, exact=False)
-    assert "exact=True" in caught.value.fix
+    assert (caught.value.where, caught.value.fix) == ("state 3", "ask for exact=True")
+
+
+def test_a_tie_that_no_best_policy_meets_is_none() -> None:
+    """Earn 5 + t and end; both actions of state 1, which costs something to reach, earn 1."""
+
+    def build(at: Any) -> MDP:
+        rows = [(0, 0, [(1, 3, 5 + at["t"])]), (0, 1, [(1, 1, 0)])]
+        rows += [(s, a, [(1, 3, 1)]) for s in (1, 2) for a in (0, 1)]
+        return MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], 1, start=0)
+
+    each = gradient(Family(parameters={"t": 0}, build=build), exact=False)["t"].value
+    assert each is not None
+    assert abs(F(each.value) - 1) <= F(each.error) < F(1, 10**12)
 
 
 def test_a_tie_in_floats_is_refused_with_a_way_out() -> None:
@@ -449,6 +468,10 @@ def test_the_model_next_to_today_has_all_transitions(side: int, zeros: tuple[int
     with pytest.raises(ModelError, match="next to today's value"):
         inner._require_finite_side(change, family.at({}), side, family, is_finite)
     (near,) = seen
+    # Where discounts are below 1, or transitions are all there today, nothing is looked at.
+    for mdp in (family.at({}).with_(discount="1/2"), family.at({"t": today + side * F(1, 3)})):
+        inner._require_finite_side(change, mdp, side, family, is_finite)
+    assert len(seen) == 1
     first = next(k for k in range(1, 10) if k not in zeros)
     assert rows_of(near)[0][3].get(2, F(0)) == chance(today + side * F(first, 2 * parts)) > 0
 
@@ -513,8 +536,70 @@ def test_a_checked_number_compares_as_the_number_that_was_checked() -> None:
     assert abs(third) == Checked(number=Certified(value=F(1, 3)), points=7)
     assert abs(abs(third)) == abs(third)
     assert f"{third:.2f} {float(third):.1f}" == "-0.33 -0.3"
+    assert str(third) == "-1/3 (checked: the degree holds at 7 points, and is not proven)"
+    nothing = Checked(number=Bounded(value=0.0, error=0.5), points=7)
+    assert abs(nothing) is nothing
     near = Checked(number=Bounded(value=1.0, error=0.5), points=7)
     assert third < near < 2
     with pytest.raises(ModelError, match="does not decide") as caught:
         near.__lt__(1)
     assert "float(number)" in caught.value.fix
+
+
+@pytest.mark.parametrize(("discount", "of_uses"), [(1, 4 + 1), ("1/2", (8 + 1) * 2)])
+def test_the_bound_counts_each_rounding(discount: object, of_uses: int, monkeypatch: Any) -> None:
+    """With a unit of 1/16 and numbers that are exact, each rounding that is counted shows.
+
+    A use is a product with a weight of one rounding, and below discount 1 a share of 1 - γ = 1/2.
+    The derivative is a sum of two pairs, and its terms are rows of one product.
+    """
+    unit = F(1, 16)
+    monkeypatch.setattr(inner, "gamma", lambda terms: terms * float(unit))
+
+    def build(at: Any) -> MDP:
+        paid = at["t"], at["t"] ** 2 - 2 * at["t"]  # the second does not move at first
+        return MDP.from_outcomes(
+            [(0, 0, [(1, 1, paid[0])]), (1, 0, [(1, 1, paid[1] + 1)])], discount
+        )
+
+    family = Family(parameters={"t": 1}, build=build, degrees={"t": 2})
+    number = gradient(family, policy=[0, 0], exact=False)["t"].value
+    assert number is not None
+    doubt = of_uses * unit
+    bound = doubt + (2 * 1 + 2 + 8) * unit * (1 + doubt)
+    assert number.value == 1
+    assert bound <= F(number.error) <= bound * (1 + F(1, 2**19))
+
+
+def test_a_reward_that_does_not_move_at_first_has_a_derivative_of_0() -> None:
+    def build(at: Any) -> MDP:
+        return MDP.from_outcomes([(0, 0, [(1, 1, at["t"] ** 2)]), (1, 0, [(1, 1, 0)])], 1)
+
+    family = Family(parameters={"t": 0}, build=build, degrees={"t": 2})
+    number = gradient(family, exact=False)["t"].value
+    assert number is not None
+    assert number.value == 0 < number.error < 1e-290  # what products may lose by underflow
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_an_average_has_derivatives_too(exact: bool) -> None:
+    """g = r q / (p + q), whatever the discount."""
+    p, q, r = F(1, 3), F(1, 5), F(7)
+    family = Family(parameters={"p": p, "q": q, "r": r}, build=two_states)
+    slopes = {"p": -r * q / (p + q) ** 2, "q": r * p / (p + q) ** 2, "r": q / (p + q)}
+    for policy in ("optimal", [0, 0]):
+        found = gradient(family, criterion="average", exact=exact, policy=policy)
+        assert found.criterion == "average"
+        assert found.reoptimised == (policy == "optimal")
+        assert [*found.derivatives] == ["p", "q", "r"]
+        for name, slope in slopes.items():
+            number = found[name].value
+            assert number is not None
+            assert abs(F(number.value) - slope) <= F(number.error) < F(1, 10**12)
+        given = gradient(family, criterion="average", exact=exact, policy=policy, names=["r"])
+        assert [*given.derivatives] == ["r"]
+    mdp = family.at({})
+    assert [*gradient(mdp, criterion="average", exact=exact, names=["discount"]).derivatives] == [
+        "discount"
+    ]
+    assert "discount" not in gradient(mdp, criterion="average", exact=exact).derivatives

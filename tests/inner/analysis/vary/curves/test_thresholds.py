@@ -128,12 +128,56 @@ def test_an_end_of_what_a_parameter_may_be_does_not_count(
     assert thresholds(crossing(9, low=low), "x", ranges).radius == radius
 
 
-def test_an_end_on_both_sides_leaves_the_farther_one() -> None:
+@pytest.mark.parametrize(
+    ("low", "high", "radius"), [(0, 1, F(3, 4)), ("1/8", "5/16", F(1, 8)), ("1/8", 1, F(3, 4))]
+)
+def test_an_end_on_both_sides_leaves_the_farther_one(low: object, high: object, radius: F) -> None:
     family = Family(
-        parameters=(Parameter(name="x", value="1/4", low=0, high=1),),
+        parameters=(Parameter(name="x", value="1/4", low=low, high=high),),
         build=crossing(9).build,
     )
-    assert thresholds(family, "x", (0, 1)).radius == F(3, 4)
+    assert thresholds(family, "x", (low, high)).radius == radius
+
+
+def test_a_threshold_at_a_breakpoint_may_be_today() -> None:
+    """0 or max(0, x - 1/2): from 1/2 on, the second action alone is best."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, max(F(0), at["x"] - F(1, 2)))])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+
+    family = Family(parameters={"x": "1/2"}, build=build, breaks={"x": ["1/2"]})
+    found = thresholds(family, "x", (0, 1))
+    assert [(each.low, each.high) for each in found.found] == [(F(1, 2), F(1, 2))]
+    assert found.stable() == (F(1, 2), F(1, 2))
+
+
+def test_a_state_is_reached_by_an_optimal_policy_below_or_above() -> None:
+    """State 1 pays max(x - 1/2, 2 x - 1): state 0 takes it above 1/2, and never goes to state 2."""
+
+    def build(at: dict[str, F]) -> MDP:
+        over = at["x"] - F(1, 2)
+        rows = [(0, 0, [(1, 3, 0)]), (0, 1, [(1, 1, 0)]), (0, 2, [(1, 2, -9)])]
+        rows += [(s, k, [(1, 3, (k + 1) * over)]) for s in (1, 2) for k in (0, 1)]
+        return MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], start=0)
+
+    for today in ("1/4", "3/4"):
+        (one,) = thresholds(Family(parameters={"x": today}, build=build), "x", (0, 1)).found
+        assert [(each.state, each.reached) for each in one.switches] == [
+            (0, True), (1, True), (2, False)]  # fmt: skip
+
+
+def test_thresholds_are_those_of_the_criterion() -> None:
+    """Earn x and stay, or 3 and return for nothing: x = 3 / 2, or 2 x = 4 at discount 1/2."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 0, at["x"])]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 0, 0)])]
+        return MDP.from_outcomes(rows, "1/2")
+
+    family = Family(parameters={"x": 1}, build=build)
+    for criterion, place in (("total", 2), ("average", 1.5)):
+        (one,) = thresholds(family, "x", (0, 3), criterion=criterion).found
+        assert one.value == pytest.approx(place, rel=1e-12)
 
 
 def test_states_that_change_alike_are_one_row() -> None:

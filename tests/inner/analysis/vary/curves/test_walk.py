@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from fractions import Fraction as F
 from itertools import islice, pairwise
 from math import inf, prod
+from operator import mul
+from random import Random
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +17,7 @@ from oracle import policy_values, rows_of
 
 from exact_mdp import MDP, Family, curve, parametric
 from exact_mdp.analysis.vary.curves import walk
+from exact_mdp.analysis.vary.curves.average_equations import AverageEquations
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.curves.equations import SectionEquations
 from exact_mdp.analysis.vary.curves.roots import Root, isolate_roots
@@ -26,6 +29,7 @@ from exact_mdp.analysis.vary.curves.walk import (
     _interpolate_values,
     _require_finite_values,
     compute_policy_values,
+    find_best_average,
     find_optimal_pairs,
     make_improper_error,
 )
@@ -102,6 +106,62 @@ def test_a_discount_may_move_with_rewards_or_with_rows(moves: str) -> None:
     for x in (F(1, 9), F(1, 3), F(5, 7)):
         values = [from_flint(top(to_flint(x)) / below(to_flint(x))) for top in tops]
         assert values == policy_values(rows_of(family.at({"x": x})), x / 2)
+
+
+def test_gains_and_relative_values_solve_the_equations_of_a_policy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """g = P g and g + h = r + P h, with h = 0 in the first state of each recurrent class.
+
+    No other g and h solve these (Puterman, Markov Decision Processes, 1994, theorem 8.2.6). From
+    two of five states, in any order, a run comes to one state, or to two, and stays there.
+    """
+    apart = 0
+    for seed in range(12):
+        rng = Random(seed)
+        a, b, c, d, e = rng.sample(range(5), 5)
+        ends = [(a, [a]), (b, [b, c]), (c, [b, c]), (d, [a, e]), (d, [b, d, e])]
+        ends.append((e, rng.choice([[b, c], [a, c, d]])))
+        laws = [[{to: F(rng.randint(1, 3)) for to in each} for _ in "12"] for _, each in ends]
+        earned = [rng.randint(-3, 3) for _ in ends]
+
+        def build(
+            at: dict[str, F], ends: Any = ends, laws: Any = laws, earned: Any = earned
+        ) -> MDP:
+            t, rows = at["t"], list[Any]()
+            for k, (state, _) in enumerate(ends):
+                one, other = (
+                    {to: w / sum(law.values()) for to, w in law.items()} for law in laws[k]
+                )
+                law = [((1 - t) * one[to] + t * other[to], to, earned[k] * t - k) for to in one]
+                rows.append((state, k, law))
+            return MDP.from_outcomes(rows, start={"state 0": "1/3", "state 1": "2/3"})
+
+        family = Family(parameters={"t": "1/2"}, build=build)
+        equations = AverageEquations(family, "t", Piece(low=F(0), high=F(1), origin=F(1, 2)))
+        policy = [
+            [(pair, F(1, len(pairs))) for pair in pairs] for pairs in equations.pairs.values()
+        ]
+        held = [[(pair, to_flint(w)) for pair, w in each] for each in policy]
+        # States from which both classes can be reached have two equations.
+        twice = sum(equations.label_classes(held)[1] < 0)
+        monkeypatch.setattr(walk, "LARGEST", 5 + twice)
+        numbers, below = compute_policy_values(equations, held)
+        apart += twice
+        for t in (F(1, 3), F(2, 5)):
+            rows, scale = rows_of(family.at({"t": t})), from_flint(below(to_flint(t)))
+            assert scale > 0
+            values = [from_flint(each(to_flint(t))) / scale for each in numbers]
+            h, g, start = values[:5], values[5:10], values[10]
+            for state, each in enumerate(policy):
+                chances = [sum(w * rows[pair][3].get(to, F(0)) for pair, w in each)
+                           for to in range(5)]  # fmt: skip
+                reward = sum(w * rows[pair][2] for pair, w in each)
+                assert g[state] == sum(map(mul, chances, g))
+                assert g[state] + h[state] == reward + sum(map(mul, chances, h))
+            assert h[a] == h[min(b, c)] == 0
+            assert start == g[0] / 3 + g[1] * 2 / 3
+    assert 12 < apart < 24
 
 
 def test_values_along_the_discount_alone_are_ratios_of_polynomials() -> None:
@@ -264,6 +324,18 @@ def test_of_equal_roots_the_one_known_better_is_the_earlier() -> None:
     beyond = Root(poly=factored(F(3, 4)), low=F(1, 2), high=F(1))
     assert _find_earlier_root(point, beyond) is point
     assert _find_earlier_root(beyond, point) is point
+    # Ends of an interval do not belong to it, also if they are roots.
+    for ends in (F(0), F(1)):
+        within = Root(poly=factored(ends, F(1, 2)), low=F(0), high=F(1))
+        at_end = Root(poly=factored(ends), low=ends, high=ends)
+        smaller = within if ends else at_end
+        assert _find_earlier_root(within, at_end) is smaller
+        assert _find_earlier_root(at_end, within) is smaller
+    for number in (F(1, 4), F(3, 4)):
+        other = Root(poly=factored(number), low=F(0), high=F(1))
+        smaller = min(number, F(1, 2))
+        assert _find_earlier_root(other, point).is_of(factored(smaller))
+        assert _find_earlier_root(point, other).is_of(factored(smaller))
 
 
 def sweep_of(family: Family, low: F, high: F) -> Sweep:
@@ -313,6 +385,36 @@ def test_brackets_that_never_separate_two_thresholds_are_given_up() -> None:
         sweep._cross_root(third, brackets)
     assert len([*brackets]) == 100
     assert sweep.policy.tolist() == [0, 2, 4]
+
+
+def test_a_bracket_holds_no_other_threshold_and_no_gap_that_turns_twice() -> None:
+    """At 1/3 state 0 takes its second action; that of state 1 is better from 2/5 to 3/5."""
+    sweep = sweep_of(paying([[0], [-1, 3]], [[0], [F(-6, 25), 1, -1]]), F(0), F(1))
+    for wide in (True, False):
+        sweep._follow_policy(np.array([0, 2, 4]))
+        root = sweep._find_next_root(F(1, 10))
+        assert root is not None
+        brackets = [(F(1, 4), F(3, 4))] * wide + [(F(1, 4), F(7, 20))]
+        assert sweep._cross_root(root, iter(brackets)) == (F(1, 4), F(7, 20))
+        assert sweep.policy.tolist() == [1, 2, 4]
+
+
+def test_the_first_policy_is_looked_for_ever_closer_to_the_lower_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sweep = sweep_of(paying([[0], [-1, 2]]), F(100), F(101))
+    cross, seen = sweep._cross_root, []
+
+    def note(root: Root, brackets: Any) -> Any:
+        seen.append([*islice(brackets, 9)])
+        return cross(root, iter(seen[-1]))
+
+    monkeypatch.setattr(sweep, "_cross_root", note)
+    (piece,) = sweep.yield_pieces(np.array([0, 2]))
+    assert piece.optimal.tolist() == [False, True, True]
+    (first,) = seen
+    assert [low for low, _ in first] == [100] * 9
+    assert all(100 < later < sooner < 101 for (_, sooner), (_, later) in pairwise(first))
 
 
 def test_roots_of_the_best_gaps_are_near_where_their_intervals_meet() -> None:
@@ -398,15 +500,22 @@ def test_the_degree_is_the_sum_of_the_greatest_of_each_state(
     equations = _build_section_equations(family, "x", F(0), F(1))
     assert (walk.LARGEST, walk.CYCLIC_DEGREE) == (300, 200)
     assert _bound_degree(equations) == 4
-    monkeypatch.setattr(walk, "LARGEST", 3)
-    monkeypatch.setattr(walk, "CYCLIC_DEGREE", 4)
-    assert _bound_degree(equations) == 4
-    monkeypatch.setattr(walk, "CYCLIC_DEGREE", 3)
-    with pytest.raises(ModelError, match="degree 4"):
-        _bound_degree(equations)
-    monkeypatch.setattr(walk, "LARGEST", 2)
-    with pytest.raises(ModelError, match="3 states with cycles"):
-        _bound_degree(equations)
+    assert [_bound_degree(equations, [state]) for state in range(3)] == [7, 5, 4]
+    for twice, states, degree in (([], 3, 4), ([0], 4, 7), ([0, 2], 5, 7)):
+        monkeypatch.setattr(walk, "LARGEST", states)
+        monkeypatch.setattr(walk, "CYCLIC_DEGREE", degree)
+        assert _bound_degree(equations, twice) == degree
+        monkeypatch.setattr(walk, "CYCLIC_DEGREE", degree - 1)
+        what = f"{states} states on cycles give rational functions of degree {degree}"
+        with pytest.raises(ModelError, match=what) as refused:
+            _bound_degree(equations, twice)
+        fix = f"thresholds are exact up to degree {degree - 1}; use a smaller model"
+        assert (refused.value.where, refused.value.fix) == ("parameter x", fix)
+        monkeypatch.setattr(walk, "LARGEST", states - 1)
+        with pytest.raises(ModelError, match=f"{states} states with cycles among them") as refused:
+            _bound_degree(equations, twice)
+        fix = f"with cycles, use at most {states - 1} states that are not terminal"
+        assert (refused.value.where, refused.value.fix) == ("parameter x", fix)
 
 
 def test_values_are_interpolated_from_points_inside_the_section() -> None:
@@ -424,6 +533,17 @@ def test_values_are_interpolated_from_points_inside_the_section() -> None:
     assert tops == [fmpq_poly([0, to_flint(F(3, 2))]), fmpq_poly([1, 0, to_flint(F(1, 2))])]
     assert len({*seen}) == 3
     assert all(F(1, 3) < x < F(5, 3) for x in seen)
+
+
+@pytest.mark.parametrize("zeros", [(1, 2), (2, 3), (1, 3)])
+def test_points_at_which_a_policy_stays_forever_are_left_out(zeros: tuple[int, int]) -> None:
+    """v = 1 / ((x - a) (x - b)), where a and b are two of the points from 1 to 5 that are tried."""
+    section: Any = SimpleNamespace(low=F(0), high=F(4))
+    roots = factored(*map(F, zeros))
+    tops, below = _interpolate_values(section, 2, [(0, 1 - roots)], [fmpq_poly([1])])
+    assert (tops, below) == ([1], roots)
+    with pytest.raises(RuntimeError, match="a policy that never ends has no values"):
+        _interpolate_values(section, 2, [(0, fmpq_poly([1]))], [fmpq_poly([1])])
 
 
 def test_without_cycles_values_are_polynomials() -> None:
@@ -479,6 +599,82 @@ def test_a_model_gives_an_optimal_pair_of_every_state() -> None:
     pairs, start = find_optimal_pairs(MDP.from_outcomes(rows, "1/2", start=0))
     assert pairs.tolist() == [1, 3]
     assert start.value == 4
+
+
+def test_a_model_gives_a_pair_of_every_state_with_the_best_average() -> None:
+    """State 0 earns 1 by staying, or nothing on the way to 3; of two pairs one earns more."""
+    rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 2)]), (1, 1, [(1, 1, 3)])]
+    pairs, start = find_best_average(MDP.from_outcomes(rows, "1/2", start=0))
+    assert pairs.tolist() == [1, 3]
+    assert start.value == 3
+
+
+def leaving(zeros: Sequence[tuple[object, int]], *, at_once: bool) -> Family:
+    """With chance ∏ (t - zero)^n / 9, state 0 is left, where each step earns 1, for steps of 2.
+
+    If `at_once`, it may be left for sure, too, for nothing.
+    """
+
+    def build(at: dict[str, F]) -> MDP:
+        p = abs(prod(((at["t"] - F(zero)) ** n for zero, n in zeros), start=F(1))) / 9
+        rows: list[Any] = [(0, 0, [(c, to, 1) for c, to in ((1 - p, 0), (p, 1)) if c])]
+        if at_once:
+            rows.append((0, 1, [(1, 1, 0)]))
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 2)])])
+
+    return Family(parameters={"t": "1/5"}, build=build, degrees={"t": sum(n for _, n in zeros)})
+
+
+@pytest.mark.parametrize(
+    ("zeros", "place"),
+    [
+        ([(0, 1)], "t = 0"),
+        ([(1, 1)], "t = 1"),
+        ([(0, 1), (1, 1)], "t = 0"),
+        ([("1/3", 2)], "t ≈ 0.333333"),
+        ([("1/4", 2), ("2/3", 2)], "t = 0.25"),
+        ([("1/4", 2), (1, 1)], "t = 1"),
+        ([(-1, 1), (2, 1)], None),
+    ],
+)
+def test_a_policy_may_not_begin_to_stay_in_the_range_of_an_average(
+    zeros: list[tuple[object, int]], place: str | None
+) -> None:
+    """Where state 0 is left, the average is 2, by the best policy and by the one held fixed."""
+    for at_once, policy in ((False, None), (True, [0, 0])):
+        family = leaving(zeros, at_once=at_once)
+        if place is None:
+            found = curve(family, "t", (0, 1), policy=policy, criterion="average")
+            assert (found.at("1/2"), found.violations()) == (2, [])
+            continue
+        with pytest.raises(ModelError, match="may stay forever are others: the average") as refused:
+            curve(family, "t", (0, 1), policy=policy, criterion="average")
+        assert (refused.value.where, refused.value.fix) == (
+            place, "choose a range without this value")  # fmt: skip
+    # The best policy leaves at once.
+    best = curve(leaving(zeros, at_once=True), "t", (0, 1), criterion="average")
+    assert (best.at(0), best.at("1/3"), best.violations()) == (2, 2, [])
+
+
+def test_a_policy_may_not_begin_to_stay_at_its_threshold_either() -> None:
+    """1 by staying, or 2 t after state 0 is left with chance y² (y² + 1/100), y = t - 1/2.
+
+    The second is better from 1/2 on, but at 1/2 it stays for nothing.
+    """
+
+    def build(at: dict[str, F]) -> MDP:
+        y = at["t"] - F(1, 2)
+        p = y**2 * (y**2 + F(1, 100))
+        moves = [(c, to, 0) for c, to in ((1 - p, 0), (p, 1)) if c]
+        rows = [(0, 0, [(1, 0, 1)]), (0, 1, moves), (1, 0, [(1, 1, 2 * at["t"])])]
+        return MDP.from_outcomes(rows, start=0)
+
+    family = Family(parameters={"t": "1/5"}, build=build, degrees={"t": 4})
+    with pytest.raises(ModelError, match="the average may jump") as refused:
+        curve(family, "t", (0, 1), criterion="average")
+    assert refused.value.where == "t ≈ 0.5"
+    assert curve(family, "t", (0, "2/5"), criterion="average").at("1/5") == 1
+    assert curve(family, "t", ("3/5", 1), criterion="average").at("4/5") == F(8, 5)
 
 
 def test_rows_may_turn_at_a_breakpoint_and_nowhere_else() -> None:
