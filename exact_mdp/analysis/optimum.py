@@ -226,7 +226,7 @@ def compute_optimum(
             if not same.all():
                 apart = np.abs(solution.value - value)[~same].max()
                 raise Contradiction(
-                    f"exact values and {solution.solver} differ by up to {apart:.3g}, "
+                    f"exact values differ from those of {solution.solver} by up to {apart:.3g}, "
                     f"which states an error of at most {solution.error_bound:.3g}"
                 )
     else:

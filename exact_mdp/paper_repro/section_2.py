@@ -264,7 +264,7 @@ def stress_on_memory(reading: Reading) -> Finding:
 
 @register_figure("architecture", "Figure 1", title="The two agents and their modules")
 def draw_architecture(reading: Reading) -> Figure:
-    """The statuses are drawn from the care model and the action comes from a policy; the three
+    """The statuses are drawn from the care model and the action is that of a policy; the three
     modules with a dashed edge are asked of a language model, or of a script.
     """
     from matplotlib.patches import Rectangle

@@ -124,7 +124,7 @@ def weights_in_words(reading: Reading) -> Finding:
 @register_claim("training.settings", "Section 3.2.4", "Section 3.2.5", kind="input", rule="entries")
 def training_settings(reading: Reading) -> Finding:
     """Q-learning has rate 0.05, discount 0.95, 6,000 epochs of 30 episodes, ε = 0.1; each epoch's
-    policy is taken at episode 10, a point of a curve is the average of 40 experiments, and the
+    policy is that of its 10th episode, a point of a curve is the average of 40 experiments, and the
     final policy is chosen among the five suggested most often.
     """
     code = learner.change_settings("constant", reading.training)

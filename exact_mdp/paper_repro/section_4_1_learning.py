@@ -431,7 +431,7 @@ def learned_policies(reading: Reading) -> Figure:
 def first_status(reading: Reading) -> Figure:
     """Above, the action in 0000 that runs end with, under the paper's constant learning rate and
     with a rate of 0.5 n^-0.7 at the n-th update; model and exploration are the same. Below, the
-    learned value of non-directive minus directive assistance, one dot for each run: right
+    learned value of non-directive minus that of directive assistance, one dot for each run: right
     of the line a run prefers non-directive assistance, which is the best one.
     """
     from matplotlib.patches import Patch
