@@ -274,6 +274,19 @@ def test_a_gradient_where_an_end_begins_to_earn(order: int) -> None:
         gradient(earns_around_zero(order), exact=False)
 
 
+def test_a_gradient_is_exact_where_floats_cannot_tell_actions_apart() -> None:
+    """A ring of 70 states: too many to be exact by default, but a tie needs it."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(s, 0, [("1/2", (s + 1) % 70, 1), ("1/2", s, 1)]) for s in range(70)]
+        return MDP.from_outcomes([*rows, (0, 1, [("1/2", 1, at["p"]), ("1/2", 0, 1)])], "9/10")
+
+    derivative = gradient(Family(parameters={"p": 1}, build=build))["p"]
+    assert derivative.left.value == 0
+    assert derivative.right.value > 0
+    assert isinstance(derivative.right.value, F)
+
+
 def test_a_policy_held_fixed_says_what_it_does_where_a_state_begins() -> None:
     family, silent = earns_around_zero(), {"0": "x"}
     for ask in (

@@ -109,8 +109,10 @@ def solve_command(
     proof: Any
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
-        refuse_options(refused | {"--criterion average": average}, "limits")
-        proof = require_sound_proof(exact_mdp.solve(mdp, subject_to=limits_from(subject_to)))
+        refuse_options(refused, "limits")
+        limits = limits_from(subject_to)
+        proof = exact_mdp.solve(mdp, subject_to=limits, criterion=given.criterion)
+        require_sound_proof(proof)
         policy: Policy = proof.policy
         solver, report = "limits", proof.report()
     else:

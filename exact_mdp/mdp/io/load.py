@@ -7,6 +7,7 @@ reward models of a file.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -52,8 +53,11 @@ def read_model(spec: Any, **options: Any) -> Loaded:
     text, reward = str(spec), None
     if hasattr(spec, "transition_matrix") and hasattr(spec, "labeling"):
         kind, source, text = IN_MEMORY, spec, "a model of Storm"
-    else:
+    elif isinstance(spec, str | os.PathLike):
         kind, source, reward = _find_model(text)
+    else:
+        fix = "give a name, a path, or the sparse model that stormpy.build_model returns"
+        raise ModelError(f"a {type(spec).__name__} is not a model", where="model", fix=fix)
     given = {name: each for name, each in options.items() if each is not None}
     if reward is not None:
         given["reward"] = reward

@@ -40,6 +40,7 @@ from exact_mdp.mdp.errors import (
     require_type,
     shown_text,
 )
+from exact_mdp.mdp.forms.names import find_free_name
 from exact_mdp.mdp.io.explicit import INITIAL, build_explicit_model, name_states
 from exact_mdp.mdp.io.files import LARGE, read_text
 from exact_mdp.mdp.io.storm_build import KINDS, list_model_parts
@@ -160,7 +161,7 @@ def _run_storm(language: str, path: Path, constants: str) -> dict[str, Any]:
     if "open" in built:
         raise _left_open(path, built["open"], constants)
     if "kind" in built:
-        fix = "give a DTMC or MDP: no continuous time, nothing hidden"
+        fix = "give a DTMC or MDP: nothing hidden, and rates uniformised (docs/models.md)"
         raise ModelError(f"the model is a {built['kind']}", fix=fix)
     sys.stderr.write(printed)
     return dict(built)
@@ -243,7 +244,8 @@ def _convert_parts(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]
     places = {name: place for place, name in enumerate(built["variables"])}
     shown = ({name: values[places[name]] for name in order} for values in built["values"])
     rewards: dict[str, dict[str, list[Any]]] = {}
-    for name, each in built["rewards"].items():
+    for given, each in built["rewards"].items():
+        name = given or find_free_name("unnamed", built["rewards"])
         rewards[name] = {}
         for over, own in each.items():
             rewards[name][over] = [numbers[place] for place in own]

@@ -45,6 +45,7 @@ from exact_mdp.solvers.exact.duals import Totals
 from exact_mdp.solvers.objectives.improper import Column, FiniteTotals, carry_over
 
 REWARD, STEPS = "reward", "steps"
+STOPPED = "stopped"  # the state that a model has besides if its totals are averages of another
 FACTOR = r"\s*([+-])?\s*(?:([0-9./]+)\s*\*\s*)?"  # of a term in a sum
 
 

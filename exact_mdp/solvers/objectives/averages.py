@@ -30,10 +30,9 @@ from exact_mdp.mdp.questions.ending import make_terminal
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import make_ones
 from exact_mdp.solvers.exact.optimise import optimise_exactly
-from exact_mdp.solvers.objectives.amounts import read_objectives
+from exact_mdp.solvers.objectives.amounts import STOPPED, read_objectives
 from exact_mdp.solvers.objectives.improper import Column
 
-STOPPED = "stopped"
 Row = tuple[int, int, list[tuple[Fraction, int, Fraction]]]
 """State, action, and outcomes: probability, next state and reward."""
 

@@ -38,7 +38,7 @@ from exact_mdp.solvers.exact.levels import (
 )
 from exact_mdp.solvers.exact.linear import compute_expected_visits, evaluate_exactly
 from exact_mdp.solvers.exact.optimise import optimise_exactly
-from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.amounts import STOPPED, Objectives
 from exact_mdp.solvers.objectives.simplex import list_unit_vectors
 
 Point = tuple[Fraction, ...]
@@ -212,8 +212,15 @@ class TotalsProof(Proof):
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON; see `Proof.save`.
 
-        Raises ModelError if policies without finite totals were left out.
+        Raises ModelError if policies without finite totals were left out, and for averages, whose
+        proof is about another model.
         """
+        if self.mdp is not None and self.mdp.space.extra[-1:] == (STOPPED,):
+            raise ModelError(
+                "a checker of files does not know averages under limits, fronts or weights",
+                where="certificate",
+                fix="leave the certificate out: the answer itself is checked against the model",
+            )
         if self.mdp is not None and self.of.reduced:
             raise ModelError(
                 "a checker of files knows only models in which every policy ends, in the goal if "

@@ -94,6 +94,18 @@ def test_other_models_of_storm_are_refused(stormpy: Any, tmp_path: Path) -> None
     )
     program = stormpy.parse_prism_program(str(tmp_path / "queue.prism"), prism_compatibility=True)
     refused(lambda: load(stormpy.build_model[float](program)), "CTMC cannot be taken", "", "DTMC")
+    refused(lambda: load(program), "a PrismProgram is not a model", "model", "stormpy.build_model")
+
+
+def test_rewards_without_a_name_are_called_unnamed(tmp_path: Path) -> None:
+    (path := tmp_path / "two.prism").write_text(
+        "mdp\nmodule m\n s: [0..1] init 0;\n [] s=0 -> (s'=1);\n endmodule\n"
+        'rewards s=0 : 3; endrewards\nrewards "unnamed" s=0 : 4; endrewards\n'
+    )
+    with pytest.warns(UserWarning, match="rewards unnamed', unnamed are added up"):
+        mdp = load(path, discount=1)
+    assert mdp.component_names == ("unnamed'", "unnamed")
+    assert certify(mdp.earning("unnamed'")).start_value == 3
 
 
 @pytest.mark.parametrize("readings", READINGS, ids=range(len(READINGS)))

@@ -19,6 +19,7 @@ gaps within the error bound count as ties, and are refused.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
@@ -35,6 +36,7 @@ from exact_mdp.analysis.vary.curves.average_gradient import (
 from exact_mdp.analysis.vary.curves.pair_slopes import (
     Number,
     Pass,
+    UndecidedInFloats,
     compute_pair_slopes,
     find_newly_live_states,
     list_slopes,
@@ -263,7 +265,8 @@ def gradient(
     exact : bool, optional
         True for rationals, False for floats with error bounds; by default, rationals for models of
         up to 100,000 transitions that are acyclic or have at most 64 states (200 states if there
-        are up to 10,000 transitions, of small integers).
+        are up to 10,000 transitions, of small integers), and where floats cannot tell several
+        actions apart.
     criterion : "total" or "average"
         As for `study`.
 
@@ -312,12 +315,13 @@ def gradient(
         return PolicyChain.of(model, policy).reaches_goal_from_start
 
     if not is_finite(mdp):
-        raise make_improper_error(
-            "today's parameters", beside=mdp.ends.every_policy_ends, ranges=False
-        )
+        beside, goal = mdp.ends.every_policy_ends, mdp.ends.has_goal
+        raise make_improper_error("today's parameters", beside=beside, goal=goal, ranges=False)
     # One backward and one forward pass serve all parameters.
-    if exact is None:
-        exact = _is_quick(mdp)
+    if exact is None and not _is_quick(mdp):
+        with suppress(UndecidedInFloats):
+            return gradient(model, policy=policy, names=names, exact=False, criterion=criterion)
+    exact = exact is not False
     if average and exact:
         passed = exact_average_pass(mdp, policy)
     elif average:
@@ -522,7 +526,7 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
             what = (
                 "the optimal value of a state is infinite, and floats cannot compare actions there"
             )
-            raise ModelError(what, where=place, fix="ask for exact=True")
+            raise UndecidedInFloats(what, where=place, fix="ask for exact=True")
         gain = compute_advantages(mdp, solution.value)
         tied = mdp.sense.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
         several = np.add.reduceat(tied, mdp.pair_offsets[:-1]) != 1

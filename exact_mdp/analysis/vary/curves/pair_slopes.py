@@ -50,9 +50,13 @@ def compute_pair_slopes(
     return earned
 
 
-def make_tie_error(where: str) -> ModelError:
+class UndecidedInFloats(ModelError):
+    """Floats cannot tell which actions are optimal; exact numbers can."""
+
+
+def make_tie_error(where: str) -> UndecidedInFloats:
     """Return the error for derivatives in floats if several actions may be optimal."""
-    return ModelError(
+    return UndecidedInFloats(
         "several actions are optimal, or floats cannot tell them apart",
         where=where,
         fix="ask for exact=True, which gives one-sided derivatives at a tie",

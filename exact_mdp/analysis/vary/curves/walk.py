@@ -220,18 +220,24 @@ def _find_earlier_root(one: Root, other: Root) -> Root:
     return other
 
 
-def make_improper_error(where: str, *, beside: bool = False, ranges: bool = True) -> ModelError:
+def make_improper_error(
+    where: str, *, beside: bool = False, goal: bool = False, ranges: bool = True
+) -> ModelError:
     """Return the error of an analysis that needs finite values, and may take `ranges`.
 
     The reason is that some policy never ends and does not lose at every step, or that some run
     ends `beside` the goal.
     """
+    # Below discount 1, and within a horizon, a run that misses a goal is worth what it earns.
     ways = ["give a discount below 1 (--discount 0.95)"]
     if beside:
         what, ends = "some run may end outside the goal, and is worth infinity", "at the goal"
     else:
         what, ends = "some policy never ends, and some of its steps cost nothing", "for sure"
-        ways.append("a number of steps (--horizon N, mdp.within(N))")
+        if goal:
+            ways = ["let every step before the goal cost something"]
+        else:
+            ways.append("a number of steps (--horizon N, mdp.within(N))")
     if ranges:
         ways.append(f"a range in which every run ends {ends}")
     return ModelError(what, where=f"the total at discount 1, {where}", fix=", or ".join(ways))
@@ -296,7 +302,7 @@ def _require_finite_values(equations: SectionEquations, held: PolicyPairs | None
     if equations.may_miss_goal:
         raise make_improper_error(between, beside=True)
     if equations.improper and not equations.staying_costs():
-        raise make_improper_error(between)
+        raise make_improper_error(between, goal=equations.mdp.ends.has_goal)
     where = f"the total at discount 1, {between}"
     if equations.improper and not equations.can_end([*equations.following], low, high):
         raise ModelError(

@@ -2,11 +2,13 @@
 
 from fractions import Fraction as F
 from itertools import product
+from pathlib import Path
 from random import Random
 from typing import Any
 
 import pytest
 from average_models import average_of
+from cli_runner import run
 from objective_models import vertices
 
 from exact_mdp import (
@@ -111,6 +113,20 @@ def test_limits_on_averages(sense: str) -> None:
         assert own.mean == pytest.approx(float(found.start_value))
         assert 2 * own.components["a"].value <= 0.5 + 1e-9
     assert feasible > 4
+
+
+def test_the_command_line_limits_averages_and_their_proofs_have_no_file(tmp_path: Path) -> None:
+    mdp = random_model(Random("limits max 1"), "max")
+    mdp.save(model := tmp_path / "model.npz")
+    limit, proof = ("--criterion", "average", "--subject-to", "2*a <= 1/2"), tmp_path / "proof.json"
+    found = solve(mdp, subject_to={"2*a": "<= 1/2"}, criterion="average")
+    answer = run("solve", model, *limit, "--json").result
+    assert answer["exact_start_value"] == str(found.start_value)
+    assert answer["criterion"] == "average"
+    with pytest.raises(ModelError, match="does not know averages"):
+        found.save(proof)
+    refused = run("solve", model, *limit, "--certificate", proof)
+    assert (refused.status, proof.exists()) == (2, False)
 
 
 @pytest.mark.parametrize("sense", ["max", "min"])
