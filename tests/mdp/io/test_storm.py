@@ -102,9 +102,9 @@ def test_rewards_without_a_name_are_called_unnamed(tmp_path: Path) -> None:
         "mdp\nmodule m\n s: [0..1] init 0;\n [] s=0 -> (s'=1);\n endmodule\n"
         'rewards s=0 : 3; endrewards\nrewards "unnamed" s=0 : 4; endrewards\n'
     )
-    with pytest.warns(UserWarning, match="rewards unnamed', unnamed are added up"):
+    with pytest.warns(UserWarning, match="rewards unnamed, unnamed' are added up"):
         mdp = load(path, discount=1)
-    assert mdp.component_names == ("unnamed'", "unnamed")
+    assert mdp.component_names == ("unnamed", "unnamed'")
     assert certify(mdp.earning("unnamed'")).start_value == 3
 
 
