@@ -264,10 +264,10 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
             pairs += self.pairs_of(state)
         return self._frame_outcomes(pairs)
 
-    def _frame_outcomes(self, pairs: Iterable[int], *, with_parts: bool = True) -> DataFrame:
-        """Return the outcomes of some pairs as a table, with their components if there are any."""
+    def _frame_outcomes(self, pairs: Iterable[int]) -> DataFrame:
+        """Return the outcomes of some pairs as a table."""
         label, parts, amount = self.space.plain_label, tuple[str, ...](), self.sense.amount
-        if with_parts and self.table.components is not None:
+        if self.table.components is not None:
             parts, amount = self.component_names, Sense.MAX.amount
         tables = [self.table, *map(self.table.with_component_reward, range(len(parts)))]
         rows = []
@@ -281,7 +281,7 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
         return data_frame(rows, columns=names)
 
     def _repr_html_(self) -> str:
-        few = self._frame_outcomes(range(min(self.n_pairs, ROWS_SHOWN)), with_parts=False)
+        few = self._frame_outcomes(range(min(self.n_pairs, ROWS_SHOWN)))
         return plain_report(self, few, len(self.table.next)).html(ROWS_SHOWN)
 
     @property
