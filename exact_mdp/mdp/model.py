@@ -241,8 +241,7 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
         Returns
         -------
         DataFrame
-            One row for each outcome: state, action, next state, probability, reward, and its
-            components if it has several; costs are a column "cost" unless they have components.
+            One row for each outcome: state, action, next state, probability, reward.
 
         Raises
         ------
@@ -266,18 +265,13 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
 
     def _frame_outcomes(self, pairs: Iterable[int]) -> DataFrame:
         """Return the outcomes of some pairs as a table."""
-        label, parts, amount = self.space.plain_label, tuple[str, ...](), self.sense.amount
-        if self.table.components is not None:
-            parts, amount = self.component_names, Sense.MAX.amount
-        tables = [self.table, *map(self.table.with_component_reward, range(len(parts)))]
+        label = self.space.plain_label
         rows = []
         for pair in pairs:
             state, action = label(self.pair_state[pair]), self.actions[self.pair_action[pair]]
-            for outcome in zip(*(table.row(pair) for table in tables), strict=True):
-                probability, after, _ = outcome[0]
-                amounts = (each for _, _, each in outcome)
-                rows.append((state, action, label(after), probability, *amounts))
-        names = ["state", "action", "next state", "probability", amount, *parts]
+            for probability, after, reward in self.table.row(pair):
+                rows.append((state, action, label(after), probability, reward))
+        names = ["state", "action", "next state", "probability", self.sense.amount]
         return data_frame(rows, columns=names)
 
     def _repr_html_(self) -> str:

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from small_models import small_model
 
-from exact_mdp import MDP, ModelError, certify, evaluate, load
+from exact_mdp import MDP, ModelError, certify, load
 
 NAMES = ["state", "action", "next state", "probability", "reward"]
 REPAIR = [
@@ -35,30 +35,6 @@ def test_a_printed_model_is_read_back(seed: int, tmp_path: Path) -> None:
     ):
         assert again.n_pairs == mdp.n_pairs
         assert certify(again.with_(start=start)).start.value == expected
-
-
-@pytest.mark.parametrize("sense", ["max", "min"])
-def test_components_are_read_back_as_they_are_printed(sense: str, tmp_path: Path) -> None:
-    """By pair or by outcome, with a rest, as floats, and as means over the outcomes of a pair."""
-    rows = [(0, 0, [("1/3", 1, 5), ("2/3", 2, 8)]), (1, 0, [(1, 2, "1/7")]), (2, 0, [(1, 2, 0)])]
-    parted = [("1/3", 1, {"cost": 1, "care": 4}), ("2/3", 2, {"cost": 2, "care": 6})]
-    for mdp in (
-        MDP.from_outcomes(rows, components={"cost": [1, "1/7", 0], "care": [6, 0, 0]}),
-        MDP.from_outcomes(rows, components={"cost": [2, "3/7", 0], "help": [0.1, 0.25, 0]}),
-        MDP.from_outcomes([(0, 0, parted), (1, 0, [(1, 2, {"cost": "1/7"})]), rows[2]]),
-    ):
-        mdp = mdp.with_(sense=sense)
-        frame = mdp.frame()
-        assert [*frame.columns[4:]] == ["reward", *mdp.component_names]
-        frame.to_csv(tmp_path / "model.csv", index=False)
-        for again in (
-            MDP.from_frame(frame, sense=sense),
-            MDP.from_frame(tmp_path / "model.csv", sense=sense),
-        ):
-            assert (again.sense, again.component_names) == (sense, mdp.component_names)
-            assert again.table.averaged == mdp.table.averaged
-            assert again.frame().equals(frame)
-            assert evaluate(again, "random").components == evaluate(mdp, "random").components
 
 
 def test_costs_are_known_by_their_column() -> None:

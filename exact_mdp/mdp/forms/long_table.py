@@ -64,8 +64,8 @@ class FromFrame(FromArrays):
             The columns state, action, next state, probability, and reward, or cost alone (whose
             sense is "min"). Capital letters do not matter, and s, a, next_state or to, p and r are
             read, too. Every other column is a component of the reward, which is their sum if there
-            is no reward; a cost beside others then needs a `sense`, as does a reward that is a cost
-            (`frame` prints costs with components so). A state that no row leaves is an end.
+            is no reward; a cost beside others then needs a `sense`. A state that no row leaves is
+            an end. (`frame` prints no components.)
         discount : number or "p/q"
         start, **names
             As in `from_arrays`; states, actions and components come from the table.
