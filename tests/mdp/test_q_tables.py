@@ -101,7 +101,9 @@ def test_files_of_savetxt(tmp_path: Path) -> None:
     assert read(LAKE, path).tolist() == BEST
     np.savetxt(path, Q.argmax(axis=1), fmt="%d")
     (tmp_path / "p.json").write_text(json.dumps(Q.argmax(axis=1).tolist()), "utf-8")
-    for file in (path, tmp_path / "p.json"):
+    np.savetxt(tmp_path / "f.txt", Q.argmax(axis=1))  # as 3.000000000000000000e+00
+    np.savetxt(tmp_path / "f.csv", Q.argmax(axis=1), fmt="%.1f")
+    for file in (path, tmp_path / "p.json", tmp_path / "f.txt", tmp_path / "f.csv"):
         policy = Policy.of(LAKE, file)
         assert (policy.read_as, policy.choices(LAKE).tolist()) == ("policy", BEST)
 
@@ -276,7 +278,7 @@ def test_a_table_by_names_or_by_order_is_refused() -> None:
         0, lambda s: ["a", "b"] if s in follow else [], lambda s, a: [(1, follow[s], s)], 0.9
     )
     table = np.array([[0.5, 1], [2, 0], [0, 3], [0, 0]])
-    said = "row 1 may be of state 1, by its name, or of state 2", "{state: row}"
+    said = "row 1 may be of state 1, by its name, or of state 2", "", "{state: row}"
     for asked in (model, model.within(4)):
         refused(lambda asked=asked: Policy.of(asked, table), *said)  # type: ignore[misc]
         assert Policy.of(asked, [1, 0, 1, 0]).rule.tolist() == [1, 0, 1, 0]  # by order
