@@ -166,7 +166,8 @@ def test_a_pickle_is_refused_with_the_code_that_converts_it(tmp_path: Path, form
     path = tmp_path / "q.pkl"
     path.write_bytes(pickle.dumps(form))
     error = refused(lambda: Policy.of(LAKE, path), "a pickle is not read")
-    code = error.fix.partition("in Python: ")[2]
+    assert "in Python" in run("check", "gymnasium:FrozenLake-v1", path, "--kind", "q").err
+    code = error.fix.partition("without a kind: ")[2]
     assert "'MODEL'" in code
     exec(code.replace("MODEL", "gymnasium:FrozenLake-v1"), {})
     policy = Policy.of(LAKE, f"{path}.csv")

@@ -462,7 +462,8 @@ def _pickle_error(path: str) -> ModelError:
     )
     return ModelError(
         "a pickle is not read, since it may run any code",
-        fix=f"if you trust it, write its policy for your MODEL in Python: {code}",
+        fix="if you trust it, write its policy for your MODEL in Python, and give that .csv "
+        f"without a kind: {code}",
     )
 
 
