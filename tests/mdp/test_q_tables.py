@@ -273,19 +273,31 @@ def test_pairs_of_numbers_are_read_with_a_horizon() -> None:
 
 
 def test_a_table_by_names_or_by_order_is_refused() -> None:
-    """States 0, 2, 1, end in this order: row 1 is of state 1, or of the second state."""
-    follow = {0: 2, 2: 1, 1: "end"}
+    """States 0, 3, 1, end in this order: row 1 is of state 1, or of the second state."""
+    follow: dict[int, Any] = {0: 3, 3: 1, 1: "end"}
     model = MDP.from_function(
         0, lambda s: ["a", "b"] if s in follow else [], lambda s, a: [(1, follow[s], s)], 0.9
     )
-    table = np.array([[0.5, 1], [2, 0], [0, 3], [0, 0]])
-    said = "row 1 may be of state 1, by its name, or of state 2", "", "{state: row}"
+    table = np.array([[0.5, 1], [2, 0], [9, 0], [0, 3]])
+    said = "row 1 may be of state 1, by its name, or of state 3", "", "{state: row}"
     for asked in (model, model.within(4)):
         refused(lambda asked=asked: Policy.of(asked, table), *said)  # type: ignore[misc]
         assert Policy.of(asked, [1, 0, 1, 0]).rule.tolist() == [1, 0, 1, 0]  # by order
     with pytest.warns(UserWarning, match="1 of 4 rows are not read"):
         chosen = Policy.of(model, dict(enumerate(table))).choices(model)
     assert chosen.tolist() == [1, 1, 0, 0]
+
+
+def test_states_that_count_from_0_are_rows_also_beside_an_end() -> None:
+    """Found in the order 0, 2, 1, end: each number is its own row."""
+    follow: dict[int, Any] = {0: 2, 2: 1, 1: "end"}
+    model = MDP.from_function(
+        0, lambda s: ["a", "b"] if s in follow else [], lambda s, a: [(1, follow[s], s)], 0.9
+    )
+    assert model.space.labels(range(4)) == ["state 0", "state 1", "state 2", "state end"]
+    table = np.array([[0.5, 1], [2, 0], [0, 3], [0, 0]])
+    for form in (table, table.argmax(1)):
+        assert Policy.of(model, form).choices(model).tolist() == [1, 0, 1, 0]
 
 
 # ---- what could mean two things ------------------------------------------------------------------

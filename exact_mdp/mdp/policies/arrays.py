@@ -26,7 +26,7 @@ numbers}; a Q-table may be {state: {action: value}}, with kind="q" if all values
 an axis for each part of a tuple. Rows of states that the model does not reach are ignored, with a
 warning. Tensors are read as arrays. If states are named 0, 2, 3 and there is one more, an array is
 refused: its row 3 may belong to state 3 or to the fourth state. So is a table over states made from
-0, 2, 1 and "end": its row 1 may belong to state 1 or to the second state. A list of an action for
+0, 3, 1 and "end": its row 1 may belong to state 1 or to the second state. A list of an action for
 each state of the model follows the model's order.
 """
 
