@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
-from math import prod
+from math import isfinite, prod
 from typing import Any, Literal
 
 import numpy as np
@@ -304,7 +304,7 @@ class Cell:
     name: str  # the state's number or name, where states are only listed
     title: str  # the state in full, with its numbers
     start: bool  # whether episodes begin there
-    shade: float  # its loss as a share of the costliest state's, which may be infinite
+    shade: float  # its loss as a share of the greatest finite loss; infinite as the loss is
 
 
 def ends_of(model: MDP) -> dict[int, tuple[str, str]]:
@@ -321,9 +321,10 @@ def build_cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     """Return the cell at each row and column of the map; None where no state is."""
     mdp, choices = audit.mdp, actions_of(audit.mdp, audit.chain.chosen > 0)
     grid: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
-    # Losses are shaded relative to the costliest state.
+    # Losses are shaded relative to the greatest finite one.
     wrong = {each.state: each for each in audit.disagreements}
-    most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
+    finite = [each.cost for each in audit.disagreements if isfinite(each.cost)]
+    most = max(finite, default=0.0) or 1.0
     idle, ends = ~mdp.ends.must_choose | (audit.visits == 0), ends_of(mdp)
     begins = {state for state, _ in mdp.start}
     for state in layout.shown.tolist():
@@ -350,6 +351,6 @@ def build_cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
             name=label.removeprefix("state ") if layout.named_in_cells else "",
             title=f"{label}: {said}",
             start=state in begins,
-            shade=0.0 if each is None else 1.0 if each.cost == most else each.cost / most,
+            shade=0.0 if each is None else each.cost / most,
         )
     return grid

@@ -101,7 +101,9 @@ def test_files_of_savetxt(tmp_path: Path) -> None:
     assert read(LAKE, path).tolist() == BEST
     np.savetxt(path, Q.argmax(axis=1), fmt="%d")
     (tmp_path / "p.json").write_text(json.dumps(Q.argmax(axis=1).tolist()), "utf-8")
-    for file in (path, tmp_path / "p.json"):
+    np.savetxt(tmp_path / "f.txt", Q.argmax(axis=1))  # as 3.000000000000000000e+00
+    np.savetxt(tmp_path / "f.csv", Q.argmax(axis=1), fmt="%.1f")
+    for file in (path, tmp_path / "p.json", tmp_path / "f.txt", tmp_path / "f.csv"):
         policy = Policy.of(LAKE, file)
         assert (policy.read_as, policy.choices(LAKE).tolist()) == ("policy", BEST)
 
@@ -164,7 +166,8 @@ def test_a_pickle_is_refused_with_the_code_that_converts_it(tmp_path: Path, form
     path = tmp_path / "q.pkl"
     path.write_bytes(pickle.dumps(form))
     error = refused(lambda: Policy.of(LAKE, path), "a pickle is not read")
-    code = error.fix.partition("in Python: ")[2]
+    assert "in Python" in run("check", "gymnasium:FrozenLake-v1", path, "--kind", "q").err
+    code = error.fix.partition("without a kind: ")[2]
     assert "'MODEL'" in code
     exec(code.replace("MODEL", "gymnasium:FrozenLake-v1"), {})
     policy = Policy.of(LAKE, f"{path}.csv")
@@ -228,6 +231,73 @@ def test_rows_that_are_not_reached_are_named(tmp_path: Path) -> None:
     words = MDP.from_function("1", lambda s: ["a", "b"] if s == "1" else [],
                               lambda s, a: [(1, "3", 1)], 0.9)  # fmt: skip
     refused(lambda: Policy.of(words, {0: "a", 1: "b"}), "0 is not a state")
+
+
+@pytest.mark.parametrize("horizon", [None, 9])
+@pytest.mark.parametrize("cells", [True, False])
+def test_forms_over_all_states_are_read_with_and_without_a_horizon(
+    cells: bool, horizon: int | None
+) -> None:
+    def name(row: int, column: int) -> Any:
+        return (row, column) if cells else 3 * row + column
+
+    def go(state: Any, action: int) -> list[Any]:
+        row, column = state if cells else divmod(state, 3)
+        to = (min(1, row + 1), column) if action else (row, min(2, column + 1))
+        return [(1, "out" if to == (1, 2) else name(*(to if to != (0, 1) else (row, column))), -1)]
+
+    corner = name(0, 0)
+    model = MDP.from_function(corner, lambda s: [] if s == "out" else [0, 1], go, 0.9)
+    asked = model if horizon is None else model.within(horizon)
+    grid = [name(row, column) for row in range(2) for column in range(3)]
+    table = np.random.default_rng(1).normal(size=(2, 3, 2))
+    if not cells:
+        table = table.reshape(6, 2)
+    q = {state: table[state] for state in grid}
+    best = {state: int(q[state].argmax()) for state in grid}
+    wanted = Policy.of(model, {s: a for s, a in best.items() if model.space.lookup.can_find(s)})
+    pairs = {(state, a): q[state][a] for state in grid for a in (0, 1)}
+    for form in (table, q, pairs, table.argmax(-1), best):
+        with pytest.warns(UserWarning, match="3 of 6 rows are not read"):
+            policy = Policy.of(asked, form)
+        assert policy.space == (asked.space.untimed or asked.space)
+        assert policy.choices(model).tolist() == wanted.choices(model).tolist()
+
+
+def test_pairs_of_numbers_are_read_with_a_horizon() -> None:
+    model = MDP.from_arrays([np.eye(3)] * 2, [[0, 1], [1, 0], [2, 0]], 0.9)
+    q = {(state, a): a - state * 0.75 * a for state in range(3) for a in (0, 1)}
+    assert Policy.of(model.within(5), q).rule.tolist() == [1, 1, 0]
+    by_time = {(time, state): int(time == 1) for time in range(5) for state in range(3)}
+    assert Policy.of(model.within(5), by_time).rule.tolist()[:9] == [0] * 3 + [1] * 3 + [0] * 3
+
+
+def test_a_table_by_names_or_by_order_is_refused() -> None:
+    """States 0, 3, 1, end in this order: row 1 is of state 1, or of the second state."""
+    follow: dict[int, Any] = {0: 3, 3: 1, 1: "end"}
+    model = MDP.from_function(
+        0, lambda s: ["a", "b"] if s in follow else [], lambda s, a: [(1, follow[s], s)], 0.9
+    )
+    table = np.array([[0.5, 1], [2, 0], [9, 0], [0, 3]])
+    said = "row 1 may be of state 1, by its name, or of state 3", "", "{state: row}"
+    for asked in (model, model.within(4)):
+        refused(lambda asked=asked: Policy.of(asked, table), *said)  # type: ignore[misc]
+        assert Policy.of(asked, [1, 0, 1, 0]).rule.tolist() == [1, 0, 1, 0]  # by order
+    with pytest.warns(UserWarning, match="1 of 4 rows are not read"):
+        chosen = Policy.of(model, dict(enumerate(table))).choices(model)
+    assert chosen.tolist() == [1, 1, 0, 0]
+
+
+def test_states_that_count_from_0_are_rows_also_beside_an_end() -> None:
+    """Found in the order 0, 2, 1, end: each number is its own row."""
+    follow: dict[int, Any] = {0: 2, 2: 1, 1: "end"}
+    model = MDP.from_function(
+        0, lambda s: ["a", "b"] if s in follow else [], lambda s, a: [(1, follow[s], s)], 0.9
+    )
+    assert model.space.labels(range(4)) == ["state 0", "state 1", "state 2", "state end"]
+    table = np.array([[0.5, 1], [2, 0], [0, 3], [0, 0]])
+    for form in (table, table.argmax(1)):
+        assert Policy.of(model, form).choices(model).tolist() == [1, 0, 1, 0]
 
 
 # ---- what could mean two things ------------------------------------------------------------------

@@ -271,11 +271,11 @@ class Given:
         # Of two policies, as in a tornado, one may be an array.
         files = {each: find_policy_format(each) for each in (form, self.policy or form)}
         arrays = [each for each, file in files.items() if file and "kind" in file.options]
-        if self.kind != "auto" and not arrays:
-            what = f"--kind says what an array in a file is, and {form!r} is not such a file"
-            raise ModelError(what, where="--kind", fix="leave it out")
         kind = self.kind if form in arrays else "auto"
         policy: Policy = policy_of(self.mdp, form, kind=kind, criterion=self.criterion)
+        if self.kind != "auto" and not arrays:  # a file that is not read was refused above
+            what = f"--kind says what an array in a file is, and {form!r} is not such a file"
+            raise ModelError(what, where="--kind", fix="leave it out")
         if self.perception is None:
             return policy
         matrix, _ = seeing.read_confusion_matrix(self.perception, self.mdp)

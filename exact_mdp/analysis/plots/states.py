@@ -64,6 +64,7 @@ MOST_LETTERS = 70  # of names side by side
 LONGEST = 26  # letters of a name beside the axes
 SHADES = LinearSegmentedColormap.from_list("value", ["#F7FBFF", "#2171B5"])
 LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
+ENDLESS: Look = {"fill": BLUE, "hatch": "//"}  # of an infinite loss
 
 
 @apply_style
@@ -232,7 +233,7 @@ def plot_evaluation(
 def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what the policy does; wrong states have a cross, a frame and the optimal action below.
 
-    Darker cells cost more.
+    Darker cells cost more; those that lose infinitely much are blue and hatched.
     """
     layout, mdp = _place_states(audit.mdp, place), audit.mdp
     drawn = [each for each in chain(*build_cells(audit, layout)) if each is not None]
@@ -249,6 +250,8 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
             look |= {"edgecolor": ORANGE, "linewidth": 1.6, "zorder": 2}
             if lossy:
                 look["fill"] = LOSSES(min(each.shade, 1.0))
+            if np.isinf(each.shade):
+                look |= ENDLESS
         shown[each.state] = text, look
     # The colour bar reaches to the largest finite loss.
     losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
@@ -264,7 +267,9 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     bar = None
     if max(losses, default=0.0) > 0:
         bar = (colours, "what the state loses (reward)")
-    signs = [*map(_make_text_handle, words), *_make_sign_handles(layout, texts)]
+    signs: list[Artist] = [*map(_make_text_handle, words), *_make_sign_handles(layout, texts)]
+    if any(np.isinf(each.shade) for each in drawn):
+        signs.append(make_swatch("loses infinitely much", ENDLESS))
     return _draw_map(mdp, layout, ax, what, shown, signs, bar)
 
 

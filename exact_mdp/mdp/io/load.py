@@ -182,7 +182,7 @@ def _unknown_model_error(text: str) -> ModelError:
     if Path(text).is_file():
         return ModelError("unknown kind of model file", where=text, fix=f"give a {known}")
     if re.fullmatch(r"[\w/.:-]+-v\d+", text):
-        name = re.sub("^gymnasium:", "", text, flags=re.IGNORECASE)
+        name = re.sub("^gym(nasium)?:", "", text, flags=re.IGNORECASE)
         fix = f"did you mean {GYMNASIUM}{name}?"
     else:
         fix = f"{suggest_name(text, list_shipped_scenarios())} (or give a {known})"

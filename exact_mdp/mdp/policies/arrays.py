@@ -22,10 +22,12 @@ In Python a policy may also be {state: action}, {state: {action: probability}}, 
 numbers}; a Q-table may be {state: {action: value}}, with kind="q" if all values are from 0 to 1.
 {(state, action): number} is a table like an array, if it has all available actions; else it is
 {state: {action: number}}. If the states of a model were made from whole numbers or tuples of these
-(`MDP.from_function`), an array may be q[state][action] over more states, with an axis for each part
-of a tuple. Rows of states that the model does not reach are ignored, with a warning. Tensors are
-read as arrays. If states are named 0, 2, 3 and there is one more, an array is refused: its row 3
-may belong to state 3 or to the fourth state.
+(`MDP.from_function`), an array may be q[state][action], or actions [state], over more states, with
+an axis for each part of a tuple. Rows of states that the model does not reach are ignored, with a
+warning. Tensors are read as arrays. If states are named 0, 2, 3 and there is one more, an array is
+refused: its row 3 may belong to state 3 or to the fourth state. So is a table over states made from
+0, 3, 1 and "end": its row 1 may belong to state 1 or to the second state. A list of an action for
+each state of the model follows the model's order.
 """
 
 from __future__ import annotations
@@ -101,17 +103,17 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     If states are named 0, 2, 3 and there is one more, a table of four rows may go by position, or
     by these names with a row for 1.
     """
-    own = _find_rows_by_object(model, array)
+    own = _find_rows_by_object(model, array, kind)
     if own is not None:
         return of_array(model, own, kind)
-    columns = model.space.columns
+    columns = (model.space.untimed or model.space).columns
     names: list[int | None] = []
     if len(columns) == 1:
         names = [integer_of(word) for word in columns[0].words]
     known = [name for name in names if name is not None]
     # A gap: all names are whole numbers, and some is too large to be a position.
     gap = len(known) == len(names) > 0 and max(known) >= len(names)
-    if gap and min(known) >= 0 and max(known) < len(array):
+    if gap and min(known) >= 0 and max(known) < len(array) and not _has_times(model, array):
         few = join_few(known, len(known))
         raise ModelError(
             f"states are named {few}, and row {known[-1]} of {len(array)} may be for state "
@@ -122,18 +124,28 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     return of_array(model, array, kind)
 
 
-def _find_rows_by_object(model: MDP, array: Numbers) -> Numbers | None:
-    """Return the rows q[s] of the states of a model from functions, in a table q over more states.
+def _has_times(model: MDP, array: Numbers) -> bool:
+    """Return whether an array is (N, S) or (N, S, A), by time and state."""
+    return flatten_times(model, array) is not array
 
-    The states are whole numbers, or tuples of these, and q has an axis for each of their parts. A
-    state without a choice may be anything else. None for other states, and if the table fits the
-    states by position.
+
+def _find_rows_by_object(model: MDP, array: Numbers, kind: str) -> Numbers | None:
+    """Return the rows of the states of a model from functions, in an array over more states.
+
+    The states are whole numbers, or tuples of these, and the array has an axis for each of their
+    parts: q[s], with a row of A numbers, or a[s], with whole numbers of actions. A state without a
+    choice may be anything else. None for other states, and if the rows fit by position.
     """
-    grid, objects = array.shape[:-1], model.space.columns[0].objects
-    if not objects or len(model.space.columns) > 1 or array.shape[-1:] != (model.n_actions,):
+    space = model.space.untimed or model.space
+    objects = space.columns[0].objects if len(space.columns) == 1 else ()
+    if not objects or _has_times(model, array):
         return None
-    if find_table_axes(model, array.shape) is not None:
+    parts = max(len(thing) if isinstance(thing, tuple) else 1 for thing in objects)
+    grid, row = array.shape[:parts], array.shape[parts:]
+    acts = not row and array.dtype.kind in "iu" and kind != "q"
+    if not acts and row != (model.n_actions,):
         return None
+    choosing = {*rows_read(model, space)[model.ends.must_choose].tolist()}
     states, places = list[int](), list[Any]()
     for state, thing in enumerate(objects):
         place: Any = thing
@@ -143,13 +155,24 @@ def _find_rows_by_object(model: MDP, array: Numbers) -> Numbers | None:
         if whole and all(0 <= part < length for part, length in zip(place, grid, strict=True)):
             states.append(state)
             places.append(place)
-        elif model.ends.must_choose[state]:
+        elif state in choosing:
             return None
     if not places:
         return None
     number = np.ravel_multi_index(np.transpose(places), grid)
-    every = array.reshape(-1, model.n_actions)
-    rows = np.zeros((len(objects), model.n_actions), dtype=array.dtype)
+    if find_table_axes(model, (*grid, model.n_actions)) is not None:
+        differ = np.flatnonzero(number != states).tolist()
+        if acts or not differ:  # numbers of actions are in the model's order, as in solutions
+            return None
+        first = states[differ[0]]
+        raise ModelError(
+            f"row {first} may be of state {first}, by its name, or of {space.label(first)}, "
+            "in the model's order",
+            where="policy",
+            fix="give a dictionary, which goes by names: {state: row}",
+        )
+    every = array.reshape(-1, *row)
+    rows = np.repeat(every[number[:1]], len(objects), axis=0)
     rows[states] = every[number]
     others = np.setdiff1d(np.arange(prod(grid)), number)
     if len(others):

@@ -71,7 +71,7 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
     else:
         # A policy of states without a time is the same at every time.
         space = model.space
-        if space.untimed is not None and not _names_times(space, space.untimed, entries):
+        if space.untimed is not None and not _names_times(model, space.untimed, entries):
             space = space.untimed
         number = _state_finder(model, space.number)
     entries = _by_pair(model, space, number, entries) or _keep_reachable(space, entries)
@@ -86,14 +86,25 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
     return _of_choices(model, space, choices, kind)
 
 
-def _names_times(space: StateSpace, untimed: StateSpace, keys: Iterable[Any]) -> bool:
-    """Return whether keys name times, too: "time 2, state ill", or (2, "ill")."""
-    keys = list(keys)
+def _names_times(model: MDP, untimed: StateSpace, keys: Iterable[Any]) -> bool:
+    """Return whether keys name times, too: "time 2, state ill", or (2, "ill").
+
+    Unless they name all times, tuples may be states of a grid, or pairs of a state and an action.
+    """
+    keys, space = list(keys), model.space
     if any(PRINTED_TIME.match(str(key)) for key in keys):
         return True
     if all(map(untimed.lookup.can_find, keys)) or not all(isinstance(key, tuple) for key in keys):
         return False
-    return all(map(space.lookup.can_find, keys))
+    if not all(map(space.lookup.can_find, keys)):
+        return False
+    if {*np.flatnonzero(model.ends.must_choose).tolist()} <= {*map(space.number, keys)}:
+        return True
+    states = dict.fromkeys(state for state, *_ in keys)
+    others = _find_unreached(untimed, states)
+    pairs = all(state in others or untimed.lookup.can_find(state) for state in states)
+    pairs = pairs and all(model.action_names.can_find(key[-1]) for key in keys)
+    return not pairs and not _find_unreached(untimed, keys)
 
 
 def _state_finder(model: MDP, find: Callable[[Any], int]) -> Callable[[Any], int]:
@@ -181,9 +192,9 @@ def _find_unreached(space: StateSpace, states: Collection[Any]) -> dict[Any, Non
     if len(space.columns) == 1:
         objects = space.columns[0].objects
     kind: Any = tuple
-    if objects and all(isinstance(thing, int | np.integer) for thing in objects):
+    if not any(isinstance(thing, tuple) for thing in objects):
         kind = int | np.integer
-        if not {*objects} <= {*states}:
+        if not {thing for thing in objects if isinstance(thing, kind)} <= {*states}:
             return {}
     if not any(isinstance(thing, kind) for thing in objects):
         return {}
@@ -451,7 +462,8 @@ def _pickle_error(path: str) -> ModelError:
     )
     return ModelError(
         "a pickle is not read, since it may run any code",
-        fix=f"if you trust it, write its policy for your MODEL in Python: {code}",
+        fix="if you trust it, write its policy for your MODEL in Python, and give that .csv "
+        f"without a kind: {code}",
     )
 
 

@@ -4,9 +4,9 @@ Values are separated by commas, semicolons, tabs or, in .txt, by spaces, as nump
 and spreadsheets write them. Lines that begin with # are comments, except that a last one above the
 numbers may be their header. A header names the actions, or numbers them from 0; without one, the
 columns are in the model's order. A column before the actions names the states; without one, the
-rows are in the model's order. If a first row may be a header or numbers, or a first column may be
-states or values, the file is refused. An empty field, or nan, is the value of an action that is not
-available.
+rows are in the model's order. A single column of whole numbers lists actions. If a first row may be
+a header or numbers, or a first column may be states or values, the file is refused. An empty field,
+or nan, is the value of an action that is not available.
 
 In .json a table is lists of rows, or {state: row} and the other dictionaries, with states as texts,
 such as "(0, 1)"; alone, or the only lists of rows under any key. If a .json or .npz file holds
@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, locate_errors, once_each
+from exact_mdp.mdp.forms.names import integer_of
 from exact_mdp.mdp.io.structured import csv_of, find_separator
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import numbers_of, space_of
@@ -122,6 +123,10 @@ def read_table(model: MDP, lines: Sequence[Line], comment: Sequence[str] = ()) -
     if header:
         order = _order_actions(model, header[labelled:])
         table = [[row[place] for place in order] for row in table]
+    if width == 1:  # numpy.savetxt writes action 3 as 3.000000000000000000e+00
+        table = [
+            [number if (whole := integer_of(number)) is None else whole] for (number,) in table
+        ]
     if labelled:
         return once_each(zip(map(parse_key, first), table, strict=True), str)
     return numbers_of(table)

@@ -1,11 +1,15 @@
 """Pictures of any model: what stands in a cell, at a bar, at an edge is what was computed."""
 
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from cli_runner import run
 from hypothesis import given
 from hypothesis import strategies as st
 from made_models import forest, grid
+from matplotlib.colors import to_hex
 from picture_texts import legend_of, texts, texts_of
 from refusal_tables import refused
 
@@ -18,6 +22,7 @@ from exact_mdp import (
     evaluate,
     plots,
     return_distribution,
+    save,
     solve,
 )
 
@@ -200,6 +205,32 @@ def test_texts_fit_into_their_cells_or_are_left_out(size: tuple[float, float]) -
     assert bool(ax.texts) == (size[0] > 2)
     assert all(text.get_window_extent().width <= cell for text in ax.texts if "any of" in str(text))
     plt.close("all")
+
+
+def test_infinite_losses_are_marked_apart_from_the_scale_of_finite_ones(tmp_path: Path) -> None:
+    """State 0 waits for ever, state 1 loses 3, state 2 loses 1; all begin, and lead to the end."""
+    costs = [(0, 1, 1), (1, 0, 4), (1, 1, 1), (2, 0, 2), (2, 1, 1)]
+    moves = [(state, action, [(1, 3, -cost)]) for state, action, cost in costs]
+    model = MDP.from_outcomes(
+        [(0, 0, [(1, 0, -1)]), *moves, (3, 0, [(1, 3, 0)])], start=dict.fromkeys(range(3), "1/3")
+    )
+    audit = check(model, [0, 0, 0, 0])
+    ax = audit.plot()
+    cells = ax.patches[:3]
+    assert [bool(cell.get_hatch()) for cell in cells] == [True, False, False]
+    fills = [to_hex(cell.get_facecolor()) for cell in cells]
+    assert len({*fills}) == 3
+    assert ax.figure.axes[1].get_ylim() == (0, 1)  # what state 1 loses, at a third of the starts
+    assert fills[1] == "#d55e00"  # the end of that scale
+    assert "loses infinitely much" in legend_of(ax)
+    # The page shows the same.
+    save(model, tmp_path / "m.json")
+    (tmp_path / "p.json").write_text("[0, 0, 0, 0]", "utf-8")
+    run("check", tmp_path / "m.json", tmp_path / "p.json", "--html", tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text("utf-8")
+    assert page.count('class="wrong endless"') == 1
+    for said in ("striped ones infinitely", "--shade:1.000", "--shade:0.333"):
+        assert said in page
 
 
 def test_a_law_without_finite_returns_is_drawn() -> None:
