@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 
 from exact_mdp.mdp.components import REST
-from exact_mdp.mdp.errors import FEW_NAMED, ModelError, join_few
+from exact_mdp.mdp.errors import FEW_NAMED, ModelError, count_own_frames, join_few
 from exact_mdp.mdp.model import MDP
 
 
@@ -73,5 +73,5 @@ def warn_of_zero_reward(mdp: MDP) -> None:
             f"the reward is 0 everywhere, so all values are 0; the components {', '.join(names)} "
             f"do not count unless one is asked for: mdp.earning({names[0]!r}), of a family "
             f"family.with_question(lambda model: model.earning({names[0]!r})), --reward {names[0]}",
-            stacklevel=3,
+            stacklevel=count_own_frames() + 1,
         )

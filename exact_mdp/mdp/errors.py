@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import partial, wraps
-from inspect import signature
+from inspect import currentframe, signature
 from itertools import islice
 from typing import Any, TypeVar, cast
 
@@ -274,6 +274,14 @@ def check_names(
             said = f"{what} {name[:40]!r} contains the character U+{ord(unsafe[0]):04X}"
             fix = "remove it; names are plain text on one line"
             raise ModelError(said, where=where, fix=fix)
+
+
+def count_own_frames() -> int:
+    """Return how many calls of this package lie between the caller's own and the user's line."""
+    frame, count = currentframe(), -1
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("exact_mdp"):
+        frame, count = frame.f_back, count + 1
+    return count
 
 
 @contextmanager

@@ -675,3 +675,18 @@ def test_a_start_in_a_table_goes_by_its_labels() -> None:
     levels = pd.MultiIndex.from_tuples([(0, 1), (2, 3)], names=["column", "row"])
     with pytest.raises(ModelError, match="several levels of labels"):
         lake.with_(start=start.set_axis(levels))
+
+
+def test_an_array_that_another_object_lends_is_not_changed() -> None:
+    """Rows are normalized in a copy of it, also where it may not be written to."""
+    given = np.array([[[0.1, 0.2, 0.6999999999998999], [0, 1, 0], [0, 0, 1]]])
+    given.setflags(write=False)
+
+    class Lent:
+        def __array__(self, *_: Any, **__: Any) -> Any:
+            return given
+
+    assert MDP.from_arrays(Lent(), [[0], [0], [0]], layout="ass").table.row(0)[2][0] == Fraction(
+        7, 10
+    )
+    assert given[0, 0, 2] == 0.6999999999998999

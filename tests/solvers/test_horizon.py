@@ -180,7 +180,7 @@ def test_a_command_says_once_that_it_leaves_the_limit_out(command: str, tmp_path
     assert (within.err, strict(within.out)["horizon"]) == ("", 100)
     other = run(*words, "--horizon", "20").err
     said = "the environment stops after 100 steps; this answer is for episodes of 20 steps"
-    assert other.count(f"{said}: --horizon 100") == 1
+    assert other.count(said) == 1
     if command == "returns":  # for discount 1 alone
         assert sum(within.result["distribution"].values()) == pytest.approx(1, abs=1e-12)
         return

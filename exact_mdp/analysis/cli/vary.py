@@ -470,11 +470,15 @@ def _select_ranges(given: Given, names: Sequence[str] | None = None) -> tuple[Ra
     """
     model, stated = given.family, Ranges()
     files = [each for each in given.ranges if each.lower().endswith(".toml") and "=" not in each]
-    for file in files:
-        stated.update(read_ranges(model, file))
     texts = [each for each in given.ranges if each not in files]
     pairs = pairs_of(texts, "--range", "NAME=LOW:HIGH")
-    stated.update(read_ranges(model, {name: ends.split(":") for name, ends in pairs.items()}))
+    typed: dict[str, object] = {name: ends.split(":") for name, ends in pairs.items()}
+    sources: list[Any] = [*files, typed]
+    for source in sources:
+        more = read_ranges(model, source)
+        for name in sorted(more.keys() & stated.keys()):
+            raise ModelError(f"the range of {name} is given twice", where="--range", fix="give one")
+        stated.update(more)
     if names is None:
         names = given.parameters or None
     every = ranges_of(model, names, stated, given.relative)

@@ -297,7 +297,7 @@ def describe_time_limit(model: Parts, within: str) -> list[str]:
     origin = origin_of(model)
     limit, kept = model.time_limit, "without a limit"
     if origin is not None and model.space.untimed is not None:
-        limit, kept = origin.model.time_limit, f"of {count_steps(model):,} steps"
+        limit, kept, within = origin.model.time_limit, f"of {count_steps(model):,} steps", ""
         if limit == count_steps(model):
             return []
     if limit is None:

@@ -186,3 +186,11 @@ def test_the_program_alone_shows_its_help() -> None:
     alone, helped = run(), run("-h")
     assert (alone.status, helped.status) == (2, 0)
     assert alone.out + alone.err == helped.out
+
+
+def test_a_range_that_is_given_twice_is_refused(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.toml").write_text('"base.anxiety" = [0.02, 0.1]\n')
+    for other in (tmp_path / "two.toml", "base.anxiety=0:0.2"):
+        words = ("tornado", "tea", "--range", tmp_path / "one.toml", "--range", other)
+        assert "the range of base.anxiety is given twice" in run("", *words).refusal()

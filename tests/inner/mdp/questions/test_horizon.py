@@ -137,7 +137,7 @@ def test_the_time_limit_of_an_environment_is_named() -> None:
     assert describe_time_limit(limited, "") == [said]
     assert describe_time_limit(limited, "horizon={}") == [f"{said}: horizon=1200"]
     other = said.replace("without a limit", "of 3 steps")
-    assert describe_time_limit(limited.within(3), "horizon={}") == [f"{other}: horizon=1200"]
+    assert describe_time_limit(limited.within(3), "horizon={}") == [other]
     assert describe_time_limit(limited.with_(time_limit=3).within(3), "horizon={}") == []
     assert describe_time_limit(waiting().within(3), "horizon={}") == []
 
