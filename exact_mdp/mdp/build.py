@@ -180,7 +180,9 @@ class FromArrays(Parts):
         pair = np.arange(states * actions)
         columns = pair // actions, pair % actions, rows, reward, offered
         # The table may use the rows as they are only if they are not the user's own array.
-        own = not hasattr(P, "__array__") or not np.may_share_memory(rows, np.asarray(P))
+        own = not hasattr(P, "__array__")
+        if isinstance(P, np.ndarray):
+            own = not np.may_share_memory(rows, P)
         return cls(
             **_parts_from_pairs(*columns, names | {"discount": discount, "start": start}, own=own)
         )

@@ -89,7 +89,7 @@ class Judged(Pictured):
         raise ModelError(
             f"{type(self).__name__} is neither true nor false",
             where="condition",
-            fix="write .passed behind it: assert check(model, policy, max_regret=0.1).passed",
+            fix=f"ask for its verdict, {type(self).__name__}.passed",
         )
 
 

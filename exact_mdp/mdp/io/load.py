@@ -56,7 +56,7 @@ def read_model(spec: Any, **options: Any) -> Loaded:
     elif isinstance(spec, str | os.PathLike):
         kind, source, reward = _find_model(text)
     else:
-        fix = "give a name, a path, or the sparse model that stormpy.build_model returns"
+        fix = "give a name, a path, or a sparse model of Storm"
         raise ModelError(f"a {type(spec).__name__} is not a model", where="model", fix=fix)
     given = {name: each for name, each in options.items() if each is not None}
     if reward is not None:

@@ -161,7 +161,7 @@ def _run_storm(language: str, path: Path, constants: str) -> dict[str, Any]:
     if "open" in built:
         raise _left_open(path, built["open"], constants)
     if "kind" in built:
-        fix = "give a DTMC or MDP: nothing hidden, and rates uniformised (docs/models.md)"
+        fix = "give a DTMC or MDP: nothing hidden, and rates uniformised first"
         raise ModelError(f"the model is a {built['kind']}", fix=fix)
     sys.stderr.write(printed)
     return dict(built)

@@ -123,7 +123,7 @@ def read_table(model: MDP, lines: Sequence[Line], comment: Sequence[str] = ()) -
     if header:
         order = _order_actions(model, header[labelled:])
         table = [[row[place] for place in order] for row in table]
-    if width == 1:  # numpy.savetxt writes action 3 as 3.000000000000000000e+00
+    if width == 1 and not labelled:  # numpy.savetxt writes action 3 as 3.000000000000000000e+00
         table = [
             [number if (whole := integer_of(number)) is None else whole] for (number,) in table
         ]

@@ -389,4 +389,4 @@ def test_an_audit_is_not_a_condition() -> None:
     assert not audit.passed
     with pytest.raises(ModelError, match=r"neither true nor false") as refused:
         assert audit
-    assert "write .passed" in refused.value.fix
+    assert refused.value.fix == "ask for its verdict, Audit.passed"

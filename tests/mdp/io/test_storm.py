@@ -94,7 +94,7 @@ def test_other_models_of_storm_are_refused(stormpy: Any, tmp_path: Path) -> None
     )
     program = stormpy.parse_prism_program(str(tmp_path / "queue.prism"), prism_compatibility=True)
     refused(lambda: load(stormpy.build_model[float](program)), "CTMC cannot be taken", "", "DTMC")
-    refused(lambda: load(program), "a PrismProgram is not a model", "model", "stormpy.build_model")
+    refused(lambda: load(program), "a PrismProgram is not a model", "model", "sparse model")
 
 
 def test_rewards_without_a_name_are_called_unnamed(tmp_path: Path) -> None:
