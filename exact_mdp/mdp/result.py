@@ -83,13 +83,13 @@ class Pictured(Result):
 
 
 class Judged(Pictured):
-    """A result with a verdict, `passed`. It is not a condition itself: a failed one would hold."""
+    """An audit: a result with a verdict, `passed`; not a condition, as a failed one would hold."""
 
     def __bool__(self) -> bool:
         raise ModelError(
             f"{type(self).__name__} is neither true nor false",
             where="condition",
-            fix=f"ask for its verdict, {type(self).__name__}.passed",
+            fix="ask for its verdict, Audit.passed",
         )
 
 
