@@ -169,6 +169,7 @@ class Case:
         """The policy by numbers in the model's order."""
         numbers, table = self.numbers, self._table()
         yield "numbers", numbers
+        yield "Q-table", table
         yield "array", np.array(numbers)
         yield "column", np.array(numbers)[:, None]
         np.save(self.folder / "q.npy", table)
@@ -204,7 +205,9 @@ class Case:
             yield "written", self.folder / "w.csv"
         if not {"state a", "state b"} & {word for each in self.printed for word in each}:
             yield "printed", {f"state {s}": f"action {a}" for s, a in self.printed}
-        yield "Q-table", self._table()
+        # Row 1 may be of state (1,), or of the second one: refused where they differ.
+        if not (self.explored and all(isinstance(s, tuple) and len(s) == 1 for s in self.states)):
+            yield "Q-table", self._table()
         known = self.model.space.columns[0].objects and self.model.action_objects
         if self.explored and self.unmistaken and (known or not self.loaded):
             first = self.at[0][1]

@@ -1,10 +1,10 @@
 """Numbers and names for states and actions that are given as objects.
 
-Things are numbered in the order in which they first occur. If the whole numbers among them are
-0 … n-1, each is its own number, also as a NumPy integer, float or fraction, and other things
-follow; False and True count as 0 and 1, as in Python. Text stays text, also "0". A state without
-actions is an end: it stays put with reward 0; or it earns a given reward once, and leads to an
-additional state.
+Things are numbered in the order in which they first occur. If they are the whole numbers 0 … n-1,
+perhaps beside one text such as "end", which comes last, each is its own number, also as a NumPy
+integer, float or fraction; False and True count as 0 and 1, as in Python. Text stays text, also
+"0". A state without actions is an end: it stays put with reward 0; or it earns a given reward once,
+and leads to an additional state.
 """
 
 from __future__ import annotations
@@ -49,11 +49,12 @@ class Numbering:
         counted, others = list[Any](), list[Any]()
         for thing in whole:
             (counted if isinstance(thing, int | np.bool_) else others).append(thing)
-        if {*counted} == {*range(len(counted))}:
+        from_0 = {*counted} == {*range(len(counted))}
+        if others and not (from_0 and len(others) == 1 and isinstance(others[0], str)):
+            return things
+        if from_0:
             whole = [*sorted(counted), *others]
             self.number = {thing: number for number, thing in enumerate(whole)}
-        elif others:
-            return things
         return whole
 
 
