@@ -149,7 +149,7 @@ def run_command(
     except BrokenPipeError:
         return PIPE_CLOSED
     except BaseException as raised:
-        error = raised
+        error = _find_interrupt(raised) or raised
     if os.environ.get(TRACEBACK, "") not in ("", "0"):
         traceback.print_exception(error)
     if context is not None and context.invoked_subcommand and isinstance(command, click.Group):
@@ -168,6 +168,13 @@ def run_command(
     if on_error is not None:
         on_error(message)
     return status
+
+
+def _find_interrupt(error: BaseException | None) -> BaseException | None:
+    """Return the interrupt after which a library failed to tidy up, as zipfile may; else None."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error
 
 
 def end_process(status: int) -> NoReturn:

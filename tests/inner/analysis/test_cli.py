@@ -34,6 +34,8 @@ from exact_mdp.mdp.report import (
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
 
+UNTIDY = ValueError("an open handle")  # of a library that was interrupted, and could not tidy up
+UNTIDY.__context__ = KeyboardInterrupt()
 READ = "exact_mdp.analysis.cli.given.read_model"
 SOLVE = "exact_mdp.analysis.optimum.solve"
 RUN, LOG = (
@@ -64,6 +66,7 @@ FAULTS: list[tuple[str, Any, str, int, str]] = [
     (READ, ImportError("no such library"), CHECK, 3, ""),
     (READ, ValueError("a slip"), CHECK, 3, "ValueError: an error in the program, not in your inp"),
     (READ, KeyboardInterrupt(), CHECK, 130, "stopped by SIGINT\n"),
+    (READ, UNTIDY, CHECK, 130, "stopped by SIGINT\n"),
     (SOLVE, GIVES_UP, "solve tea --json", 3, "SolverError: double precision cannot bound"),
     (SOLVE, wrong, "solve yuan2025 --certify --json", 3, "Contradiction: exact values differ"),
     (RUN, OverflowError("too large"), "reproduce --quick --out x", 3, "OverflowError: "),
