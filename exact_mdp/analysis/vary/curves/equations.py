@@ -339,7 +339,7 @@ class SectionEquations:
             if not is_zero(self._compute_exit_probability(pair) - sum(p for _, p in others)):
                 following.append(end)
             offsets.append(len(following))
-        owner = np.array([self.state[pair] for pair in self.following])
+        owner = np.array([self.state[pair] for pair in self.following], dtype=np.int64)
         return PairGraph(end + 1, owner, np.array(offsets), np.array(following))
 
     def _compute_exit_probability(self, pair: int) -> fmpq_poly:

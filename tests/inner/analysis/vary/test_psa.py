@@ -58,8 +58,9 @@ def made_up(seed: int, *, sense: int = 1, draws: int = 40, policies: int = 3, **
         Candidate(name=f"policy {n}", weights=np.zeros(2), frequency=n, actions=None)
         for n in range(policies)
     )
+    unused: Any = None
     made = PSA(
-        model="made up", start=None, uncertainty=Uncertainty(parts=parts, fixed={}), seed=3,  # type: ignore[arg-type]
+        model="made up", start=unused, uncertainty=Uncertainty(parts=parts, fixed={}), seed=3,
         table=table, candidates=candidates, labels=("here", "there"), actions=("a", "b", "c"),
         compiled=True,
     )  # fmt: skip
@@ -537,7 +538,8 @@ def select(
         points=np.arange(len(worth))[:, None],
     )  # fmt: skip
     named = [(f"given {k}", np.array([k])) for k in given]
-    found, after = _select_policies(Tried(worth, sign, pool), table, named)  # type: ignore[arg-type]
+    tried: Any = Tried(worth, sign, pool)
+    found, after = _select_policies(tried, table, named)
     assert [name for name, _ in found[len(given) :]] == [
         f"alternative {k + 1}" for k in range(len(found) - len(given))
     ]
