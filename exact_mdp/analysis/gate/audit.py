@@ -625,8 +625,11 @@ class Audit(Judged):
         if isnan(self.agreement):
             text = "undefined: there is no optimum to agree with"
         if self.never_reached:
-            text += f"; {self.never_reached} wrong states are never reached from {self.begins}, "
-            text += "and cost nothing: mdp.with_(start=…), or --start, begins elsewhere"
+            states, cost = (
+                ("states are", "cost") if self.never_reached > 1 else ("state is", "costs")
+            )
+            text += f"; {self.never_reached} wrong {states} never reached from {self.begins}, "
+            text += f"and {cost} nothing: mdp.with_(start=…), or --start, begins elsewhere"
         return text
 
     def _list_regrets(self) -> dict[str, float] | None:
