@@ -158,26 +158,29 @@ class ImproperPolicies:
     # ---- the finite model --------------------------------------------------------------------
 
     @cached_property
-    def _merged(self) -> tuple[Integers, Mask]:
-        """The zero-reward components of finite values, as `zero_reward`; none if missing pays."""
+    def kept(self) -> Mask:
+        """(L,) True for pairs of states of finite values, ends apart, that lead only to such."""
         finite = self.sign == 0
-        if self.mdp.ends.missing_pays:
-            finite = np.zeros_like(finite)
-        component, pairs = self.zero_reward
-        inside = pairs & finite[self.mdp.pair_state] & self.graph.find_pairs_within(finite)
-        return np.where(finite, component, -1), inside
+        live = finite & ~self.mdp.ends.destination
+        return np.asarray(live[self.mdp.pair_state] & self.graph.find_pairs_within(finite))
+
+    @cached_property
+    def _merged(self) -> tuple[Integers, Mask]:
+        """The zero-reward components of finite values, as `zero_reward`."""
+        component, inside = self.zero_reward
+        inside = inside & self.kept
+        return np.where(self.graph.find_states_with(inside), component, -1), inside
 
     def apply(self) -> Quotient:
         """Return the model of the finite values, in which each zero-reward component is one state.
 
         Some of its policies may still be improper: they lose in cycles.
         """
-        finite = self.sign == 0
-        live = finite & ~self.mdp.ends.destination
-        kept = live[self.mdp.pair_state] & self.graph.find_pairs_within(finite)
         # Without a goal, a component has a pair to the end, and is an end if it cannot be left.
         may_stop = not self.mdp.ends.has_goal
-        return self.build_part(*merge_components(self.graph, kept, self._merged, may_stop=may_stop))
+        return self.build_part(
+            *merge_components(self.graph, self.kept, self._merged, may_stop=may_stop)
+        )
 
     def build_part(
         self, pairs: Mask, new_state: Integers, stops: Sequence[tuple[int, Fraction]] = ()

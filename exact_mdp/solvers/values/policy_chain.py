@@ -346,16 +346,6 @@ class PolicyChain:
         active = np.bincount(own, acts & inside & ~self.mdp.terminal) > 0
         return np.asarray(inside & ~active[own])
 
-    def require_end(self) -> None:
-        """Raise ModelError, naming where the policy stays, unless every episode ends."""
-        if not self.ends_from_start:
-            trapped = int(np.flatnonzero(self.reached & self.stuck)[0])
-            raise ModelError(
-                "discount 1 needs a policy that ends, and this one may stay forever",
-                where=f"policy, {self.mdp.space.place(trapped)}",
-                fix=ways_out(self.mdp, "take a policy that leaves such states"),
-            )
-
     # ---- equations ---------------------------------------------------------------------------
 
     def build_equations(self, rate: Fraction) -> PolicyEquations:
@@ -526,7 +516,7 @@ def flow_of(of: Objectives, policy: PolicyLike) -> OccupancyMeasure:
 
 def _end_where_nothing_counts(of: Objectives, chain: PolicyChain) -> PolicyChain:
     """Return a chain that ends where it stays and nothing is counted, if its totals are finite."""
-    ended = of.finite.ended
+    ended = of.ending.ends.destination
     if of.given.goal is None:
         # Events, which no total may count, do not matter.
         plain = of.ending.with_(table=replace(of.ending.table, event=None), events=())
