@@ -145,7 +145,7 @@ def solve_robust(
     game = Game(mdp, ambiguity, against=against, weights=weights)
     with np.errstate(over="ignore", invalid="ignore"):
         if average:
-            steps = RobustAverages(mdp.undiscounted, ambiguity, against, weights)
+            steps = RobustAverages.of(mdp.undiscounted, ambiguity, against=against, weights=weights)
             found, pairs, distributions = _solve_average(steps, tol, max_iterations)
         elif endless:
             improper = RobustImproperPolicies.of(mdp, ambiguity, against=against, weights=weights)
