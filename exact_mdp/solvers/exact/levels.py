@@ -163,21 +163,12 @@ def yield_level_advantages(
     numbers: Iterable[int] = range(len(state))
     if pairs is not None:
         numbers = pairs.tolist()
-    last, known = -1, dict[tuple[int, ...], tuple[int, int, int]]()
     for pair in numbers:
         own, here = state[pair], slice(offsets[pair], offsets[pair + 1])
-        if own != last:
-            last, known = own, {}
-        # Actions of a state are often alike: pairs with the same row and reward are computed once.
-        key = (tops[pair], belows[pair], *following[here], *weight[here])
-        if key not in known:
-            # γ P x - x over the scale of the state and the common denominator of x; then the
-            # reward.
-            values, unit = x.over_one([*following[here], own], group)
-            flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
-            top = tops[pair] * unit + flow * belows[pair]
-            known[key] = top, unit, scale[own] * belows[pair]
-        yield known[key]
+        # γ P x - x over the scale of the state and the common denominator of x; then the reward.
+        values, unit = x.over_one([*following[here], own], group)
+        flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
+        yield tops[pair] * unit + flow * belows[pair], unit, scale[own] * belows[pair]
 
 
 def compute_surpluses(
