@@ -141,7 +141,9 @@ def solve(
             mdp = mdp.within(horizon, terminal_value=terminal_value)
         if subject_to is not None:
             return solve_under(mdp, subject_to)
-        solution = _find_best_total(mdp, solver, tol, start)
+        start = orient_start(mdp, start)
+        find_best = partial(_maximise_total, solver=solver, tol=tol, start=start)
+        solution = answer_maximised(mdp, find_best)
     if solution.status is Status.PRECISION:
         warn_of_precision(solution.error_bound, stacklevel=3)  # `named_options` is in between
     return solution
@@ -159,12 +161,6 @@ def _find_best_average(mdp: MDP, solver: Any, tol: float | None, start: Any) -> 
             raise
         solution = answer_maximised(mdp, partial(round_exact_solution, criterion="average"))
     return _mark_if_imprecise(solution, tol)
-
-
-def _find_best_total(mdp: MDP, solver: Any, tol: float | None, start: Any) -> Solution:
-    """Return the solution for the total reward; costs are solved as rewards."""
-    find_best = partial(_maximise_total, solver=solver, tol=tol, start=orient_start(mdp, start))
-    return answer_maximised(mdp, find_best)
 
 
 def _maximise_total(mdp: MDP, solver: Any, tol: float | None, start: Any = None) -> Solution:
