@@ -43,7 +43,12 @@ from exact_mdp.mdp.table import (
 from exact_mdp.solvers.endless.quotient import Quotient, choose_nearer_pairs
 from exact_mdp.solvers.exact.checker import Model
 from exact_mdp.solvers.exact.duals import Totals
-from exact_mdp.solvers.objectives.improper import Column, FiniteTotals, carry_over
+from exact_mdp.solvers.objectives.improper import (
+    Column,
+    FiniteTotals,
+    carry_over,
+    combine_columns,
+)
 
 REWARD, STEPS = "reward", "steps"
 STOPPED = "stopped"  # the state that a model has besides if its totals are averages of another
@@ -264,13 +269,7 @@ def _parse_objective(mdp: MDP, text: str) -> tuple[str, Terms]:
 
 def _combine_terms(mdp: MDP, terms: Terms) -> Column:
     """Return the amounts (L,) of a linear combination, over denominators (L,)."""
-    columns = [(factor, *_read_amounts(mdp, name)) for factor, name in terms]
-    below = np.lcm.reduce([f.denominator * b.astype(object) for f, _, b in columns])
-    added = []
-    for f, t, b in columns:
-        added.append(t.astype(object) * (f.numerator * (below // (b * f.denominator))))
-    top = sum(added)
-    return np.asarray(top), below
+    return combine_columns([(factor, _read_amounts(mdp, name)) for factor, name in terms])
 
 
 def reward_name(mdp: MDP) -> str:

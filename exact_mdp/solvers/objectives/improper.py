@@ -111,11 +111,9 @@ class FiniteTotals(ImproperPolicies):
     def require_loss(self, quotient: Quotient, columns: Sequence[Column]) -> None:
         """Raise ModelError unless policies that do not end in a quotient lose in some total."""
         # No mean is above 0: all are 0 where the mean of their sum is.
-        after = [carry_over(quotient, column) for column in columns]
-        below = np.lcm.reduce([under.astype(object) for _, under in after])
-        total = sum(top.astype(object) * (below // under) for top, under in after)
+        total = combine_columns([(Fraction(1), column) for column in columns])
         live = ~quotient.mdp.terminal[quotient.mdp.pair_state]
-        if _find_gain_sign(quotient.mdp, live, (np.asarray(total), below)) >= 0:
+        if _find_gain_sign(quotient.mdp, live, carry_over(quotient, total)) >= 0:
             raise ModelError(
                 "the totals of a policy that never ends may cancel forever, and have no limit",
                 where=where_endless(self.mdp),
@@ -145,6 +143,15 @@ class FiniteTotals(ImproperPolicies):
             if left[int(mdp.pair_state[pair])]:
                 found[pair] = left[int(mdp.pair_state[pair])]
         return found
+
+
+def combine_columns(terms: Sequence[tuple[Fraction, Column]]) -> Column:
+    """Return a linear combination of amounts (L,), over denominators (L,)."""
+    below = np.lcm.reduce([f.denominator * under.astype(object) for f, (_, under) in terms])
+    added = []
+    for f, (top, under) in terms:
+        added.append(top.astype(object) * (f.numerator * (below // (under * f.denominator))))
+    return np.asarray(sum(added)), below
 
 
 def carry_over(quotient: Quotient, column: Column) -> Column:
