@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import chain, pairwise
 from operator import mul
 from typing import TYPE_CHECKING, Any
@@ -165,13 +165,11 @@ def evaluate_exactly(
     there is one in each state.
     """
     if pairs is None:
-        pairs, alone = np.arange(len(rows.scale)), rows
-    else:
-        alone = rows.of_pairs(pairs)
+        pairs = np.arange(len(rows.scale))
     live, sides = ~rows.terminal, []
     for own in amounts or [rows.constant]:
         sides.append((own[pairs] * live).tolist())
-    return solve_all(build_equations(alone), sides)
+    return solve_all(build_equations(rows.of_pairs(pairs)), sides)
 
 
 def compute_expected_visits(
@@ -303,15 +301,7 @@ class _Solution:
 
 
 def _compute_common_multiple(numbers: Iterable[fmpz]) -> fmpz:
-    multiple = flint.fmpz(1)
-    for number in numbers:
-        if multiple == 1:
-            multiple = number
-        else:
-            multiple = multiple.lcm(number)
-    if multiple > 0:
-        return multiple
-    return -multiple
+    return reduce(flint.fmpz.lcm, numbers, flint.fmpz(1))
 
 
 def _solve_component(

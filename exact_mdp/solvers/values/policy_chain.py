@@ -278,12 +278,10 @@ class PolicyChain:
         graph.sum_duplicates()
         return graph
 
-    @cached_property
+    @property
     def order(self) -> Integers | None:
         """(S,) numbers that fall along every transition; None if the model has cycles."""
-        if self.mdp.terminal.any():
-            return self.mdp.ends.most_steps
-        return None
+        return self.mdp.ends.most_steps
 
     @cached_property
     def reached(self) -> Mask:
@@ -397,16 +395,13 @@ class PolicyChain:
 
     def build_bellman_rows(self, rate: Fraction | None = None) -> BellmanRows:
         """Return the equations of the chain in integers, at another discount if one is given."""
-        if self.pure:
-            mdp = self.mdp
-        else:
-            mdp = self.model
+        mdp, pairs = self.mdp, self.pairs
+        if not self.pure:
+            mdp, pairs = self.model, np.arange(self.mdp.n_states)
         if rate not in (None, mdp.discount_exact):
             mdp = mdp.with_(discount=rate)
         # The rows of a model are cached: a pure policy selects among them.
-        if self.pure:
-            return bellman_rows(mdp).of_pairs(self.pairs)
-        return bellman_rows(mdp)
+        return bellman_rows(mdp).of_pairs(pairs)
 
     @cached_property
     def model(self) -> MDP:
