@@ -13,35 +13,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import lcm
-from numbers import Rational
 from operator import mul
-from typing import cast
 
 import flint
 import numpy as np
 
-from exact_mdp.mdp.exact import BellmanRows
+from exact_mdp.mdp.exact import BellmanRows, from_flint
 from exact_mdp.mdp.table import Floats, Integers, Numbers, divide, to_common_denominator
-
-
-@dataclass(frozen=True, slots=True)
-class _LowestTerms:
-    """A rational in lowest terms, which `Fraction` copies without reducing it again."""
-
-    numerator: int
-    denominator: int
-
-
-Rational.register(_LowestTerms)
 
 
 def make_fraction(top: int, bottom: int) -> Fraction:
     """Return the Fraction top / bottom, for a positive bottom, in little more than linear time."""
     # FLINT's gcd is much faster than Python's for long integers.
-    numerator, denominator = flint.fmpz(top), flint.fmpz(bottom)
-    shared = numerator.gcd(denominator)
-    lowest = _LowestTerms(int(numerator // shared), int(denominator // shared))
-    return Fraction(cast(Rational, lowest))
+    return from_flint(flint.fmpq(top, bottom))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
