@@ -113,7 +113,7 @@ def flow_under(
     states = ~of.rows.terminal
     if start is None:
         start = of.mdp.start
-    (level,) = compute_expected_visits(of.rows.of_pairs(pairs), states, start)
+    level = compute_expected_visits(of.rows.of_pairs(pairs), states, start)
     taken = np.flatnonzero(states & (np.array(level.top, dtype=object) != 0))
     visits = Level.from_groups([level.top[s] for s in taken], level.below, level.group[taken])
     return OccupancyMeasure(pairs=pairs[taken], visits=visits)

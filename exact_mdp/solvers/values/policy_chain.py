@@ -445,10 +445,8 @@ class PolicyChain:
     @cached_property
     def exact_visits(self) -> Level:
         """The expected discounted visits from the start; terminal states count arrivals."""
-        (visits,) = compute_expected_visits(
-            self.build_bellman_rows(), self.reached & ~self.mdp.terminal, self.mdp.start
-        )
-        return visits
+        live = self.reached & ~self.mdp.terminal
+        return compute_expected_visits(self.build_bellman_rows(), live, self.mdp.start)
 
     @cached_property
     def exactly(self) -> ExactChain:
@@ -556,7 +554,7 @@ class PolicyEquations:
             point = BoundedVector(value=value, error=np.where(live, point.error, off * SLACK))
             exact = is_too_inaccurate(point, chain.mdp)
         if exact:
-            (visits,) = compute_expected_visits(self.rows(), live, chain.mdp.start)
+            visits = compute_expected_visits(self.rows(), live, chain.mdp.start)
             point = round_fractions(visits.to_fractions())
         # Visits cannot be negative; clip rounding errors at 0.
         return BoundedVector(value=np.maximum(point.value, 0.0), error=point.error)
