@@ -41,7 +41,6 @@ from exact_mdp.solvers.endless.quotient import (
     build_quotient,
     choose_first_pairs,
     choose_nearer_pairs,
-    merge_components,
 )
 from exact_mdp.solvers.exact.find import best_average, no_falling
 from exact_mdp.solvers.solution import Solution
@@ -176,11 +175,20 @@ class ImproperPolicies:
 
         Some of its policies may still be improper: they lose in cycles.
         """
-        # Without a goal, a component has a pair to the end, and is an end if it cannot be left.
-        may_stop = not self.mdp.ends.has_goal
-        return self.build_part(
-            *merge_components(self.graph, self.kept, self._merged, may_stop=may_stop)
-        )
+        # Components are left by pairs that are kept; states that no pair leaves become the end.
+        graph, (component, inside) = self.graph, self._merged
+        pairs = self.kept & ~inside
+        left = graph.find_states_with(pairs)
+        numbers = np.unique(component[left & (component >= 0)])
+        new_state = np.full(graph.states, -1)
+        joined, single = np.isin(component, numbers), left & (component < 0)
+        new_state[joined] = np.searchsorted(numbers, component[joined])
+        new_state[single] = len(numbers) + np.arange(int(single.sum()))
+        # Without a goal, a run may also stop in a component.
+        stops = list[tuple[int, Fraction]]()
+        if not self.mdp.ends.has_goal:
+            stops = [(number, Fraction(0)) for number in range(len(numbers))]
+        return self.build_part(pairs, new_state, stops)
 
     def build_part(
         self, pairs: Mask, new_state: Integers, stops: Sequence[tuple[int, Fraction]] = ()
