@@ -75,9 +75,9 @@ class Objectives:
         self.names, columns = read_objectives(mdp, texts)
         losing = -np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
         below = to_integer_array(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
-        table = replace(mdp.table, gain=losing, gain_denominator=below)
+        table = replace(mdp.table, gain=losing, gain_denominator=below, event=None)
         # A model that loses wherever an objective has an amount, for its terminal states.
-        self.ending = mdp.with_(table=table, goal=None, sense="max")
+        self.ending = mdp.with_(table=table, events=(), goal=None, sense="max")
         if mdp.goal is not None:
             self.ending = self.ending.with_(goal=mdp.goal & self.ending.terminal, unreached=-inf)
         self.mdp, comparable = mdp, self.ending

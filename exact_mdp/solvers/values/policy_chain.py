@@ -511,9 +511,7 @@ def _end_where_nothing_counts(of: Objectives, chain: PolicyChain) -> PolicyChain
     """Return a chain that ends where it stays and nothing is counted, if its totals are finite."""
     ended = of.ending.ends.destination
     if of.given.goal is None:
-        # Events, which no total may count, do not matter.
-        plain = of.ending.with_(table=replace(of.ending.table, event=None), events=())
-        ended = ended | replace(chain, mdp=plain).stays_unrewarded
+        ended = ended | chain.stays_unrewarded
     stays = np.flatnonzero(chain.reached & chain.classes.recurrent & ~ended)
     if len(stays):
         raise ModelError(
