@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, cached_property, partial
 from itertools import groupby
-from math import gcd, lcm
+from math import lcm
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,6 @@ from exact_mdp.mdp.table import (
     exact,
     format_rational,
     make_ones,
-    to_integer_array,
 )
 from exact_mdp.mdp.validate import as_share
 from exact_mdp.solvers.arguments import mdp_of
@@ -54,7 +53,7 @@ from exact_mdp.solvers.claims import Bounded, Certified, Claim
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import build_certificate
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.values.returns import tail_mean
+from exact_mdp.solvers.values.returns import find_lattice, tail_mean
 
 CELLS = 20_000_000  # outcomes times returns, which limits memory
 EXACT_CELLS = 2_000_000  # the most of them for exact numbers by default: measured, 20 s
@@ -92,15 +91,8 @@ class Budgeted:
             )
         table, pair = mdp.table, mdp.table.pair
         # Rewards of outcomes as integer multiples of one unit.
-        (weight, denominator), (gain, below) = table.rows.integers, table.integer_gains
-        if len(gain) == table.pairs:
-            gain = gain[pair]
-        shared = lcm(*below.tolist())
-        whole = []
-        for g, b in zip(gain.tolist(), below[pair].tolist(), strict=True):
-            whole.append(g * (shared // b))
-        size = gcd(*whole) or shared
-        gain = to_integer_array(g // size for g in whole)
+        weight, denominator = table.rows.integers
+        gain, self.unit = find_lattice(table, np.ones(len(pair), dtype=bool))
         # Sort outcomes within their pair, so that the new states rise.
         sort = np.lexsort((-gain, table.next, pair))
         rows = replace(table.rows, weight=weight[sort], denominator=denominator, sound=False)
@@ -111,7 +103,7 @@ class Budgeted:
             gain_denominator=make_ones(table.pairs),
             event=None,
         )
-        self.mdp, self.unit, self.depth = mdp, Fraction(size, shared), int(level.max())
+        self.mdp, self.depth = mdp, int(level.max())
         # States that are not terminal, from the end on.
         self.order = [int(s) for s in np.argsort(level, kind="stable") if not ends[s]]
         self.low, self.high = low, high = np.zeros((2, mdp.n_states), dtype=object)

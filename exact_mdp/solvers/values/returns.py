@@ -30,6 +30,7 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError, named_options
+from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import (
@@ -41,7 +42,15 @@ from exact_mdp.mdp.report import (
     format_error_bound,
 )
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, Numbers, exact, format_rational, multiply, to_integer_array
+from exact_mdp.mdp.table import (
+    Floats,
+    Numbers,
+    OutcomeTable,
+    exact,
+    format_rational,
+    multiply,
+    to_integer_array,
+)
 from exact_mdp.mdp.validate import as_share
 from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
@@ -312,7 +321,8 @@ def return_distribution(
         mdp = mdp.within(horizon)
     # Rewards as whole multiples of a unit; then carry the mass from the start to the end.
     chain, lost = split_infinite_returns(PolicyChain.of(mdp, policy, kind=kind))
-    gain, unit = _find_lattice(chain)
+    used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
+    gain, unit = find_lattice(chain.table, used)
     multiples, masses, left, roundings = MassFlow(chain, gain, lost, exact=exact).carry_mass()
     shares = None
     relative_error = float(gamma(roundings)) * SLACK
@@ -331,10 +341,9 @@ def return_distribution(
     )
 
 
-def _find_lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
-    """Return the rewards (N,) as multiples of their greatest common unit, and that unit."""
+def find_lattice(table: OutcomeTable, used: Mask) -> tuple[Numbers, Fraction]:
+    """Return rewards (N,) as multiples of the greatest common unit of some (N,), and that unit."""
     # Bring all rewards over one denominator.
-    table = chain.table
     top, bottom = table.integer_gains
     lengths = np.diff(table.offsets)
     if len(top) == table.pairs:
@@ -342,8 +351,6 @@ def _find_lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     whole = lcm(*np.unique(bottom).tolist())
     factor = np.repeat(to_integer_array(whole // int(number) for number in bottom), lengths)
     scaled = multiply(top, factor)
-    # Divide by the common divisor of the rewards that an episode can earn.
-    used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
     step = max(int(np.gcd.reduce(scaled[used])), 1)
     multiples = scaled // step
     # A return adds up fewer than 2³² multiples, so that 64 bits hold it if all are below 2³¹.

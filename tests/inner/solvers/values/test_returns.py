@@ -117,7 +117,7 @@ def test_long_multiples_are_integers_of_python() -> None:
             law = return_distribution(MDP.from_outcomes(rows), "random")
             assert law.values == (sign * far + 1,)
             chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
-            assert module._find_lattice(chain)[0].dtype == kind
+            assert module.find_lattice(chain.table, chain.source >= 0)[0].dtype == kind
 
 
 def test_runs_without_an_end_have_infinite_returns() -> None:
@@ -213,7 +213,9 @@ def test_errors_count_all_roundings() -> None:
     for seed in range(6):
         mdp = small_model(seed, falling=True)
         chain = PolicyChain.of(mdp, given(random_policy(mdp, seed)))
-        flow = module.MassFlow(chain, module._find_lattice(chain)[0], {}, exact=False)
+        flow = module.MassFlow(
+            chain, module.find_lattice(chain.table, chain.source >= 0)[0], {}, exact=False
+        )
         size = flow.carry_mass()[3] * F(UNIT)
         assert F(return_distribution(mdp, chain).relative_error) >= size / (1 - size)
 
