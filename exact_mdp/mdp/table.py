@@ -15,7 +15,6 @@ from dataclasses import dataclass, fields, replace
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from itertools import pairwise
 from math import gcd, lcm
 from numbers import Rational
 from typing import Any
@@ -588,15 +587,50 @@ def to_common_denominator(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
 
 def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return rationals (N,) as integers (N,), with one common denominator for each group."""
-    if all(number.denominator == 1 for number in values):
-        return to_integer_array(number.numerator for number in values), make_ones(len(offsets) - 1)
-    tops: list[int] = []
-    bottoms: list[int] = []
-    for first, last in pairwise(offsets.tolist()):
-        whole, bottom = to_common_denominator(values[first:last])
-        tops += whole
-        bottoms.append(bottom)
-    return to_integer_array(tops), to_integer_array(bottoms)
+    # A model has few different numbers, and most are one object wherever they occur.
+    distinct, copies = find_distinct(values)
+    top = to_integer_array(number.numerator for number in distinct)[copies]
+    bottom = to_integer_array(number.denominator for number in distinct)[copies]
+    lengths = np.diff(offsets)
+    filled = lengths > 0
+    if not filled.any() or find_magnitude(bottom) == 1:
+        return top, make_ones(len(lengths))
+    # A least common multiple has at most as many bits as all denominators of its group together.
+    begins = offsets[:-1][filled]
+    bits = np.array([(number.denominator - 1).bit_length() for number in distinct])[copies]
+    if np.add.reduceat(bits, begins).max() >= 62:
+        bottom = bottom.astype(object)
+    common = np.ones(len(lengths), dtype=bottom.dtype)
+    common[filled] = np.lcm.reduceat(bottom, begins)
+    top = multiply(top, np.repeat(common, lengths) // bottom)
+    if object in (top.dtype, common.dtype):
+        return to_integer_array(top.tolist()), to_integer_array(common.tolist())
+    return top, common
+
+
+def find_distinct(values: Sequence[Any]) -> tuple[list[Any], Integers]:
+    """Return the different objects among values (N,), and the place (N,) of each value's object.
+
+    Objects are told apart by where they are in memory, without comparing them.
+    """
+    places = np.fromiter(map(id, values), np.int64, len(values))
+    _, first, copies = np.unique(places, return_index=True, return_inverse=True)
+    return [values[number] for number in first.tolist()], copies
+
+
+def find_nonzero(values: Numbers) -> NDArray[np.bool_]:
+    """Return (N,) True for numbers that are not 0."""
+    if values.dtype != object:
+        return np.asarray(values != 0, dtype=bool)
+    distinct, copies = find_distinct(values.tolist())
+    return np.array([bool(number) for number in distinct], dtype=bool)[copies]
+
+
+def hold_same_numbers(left: Numbers, right: Numbers) -> bool:
+    """Return whether two arrays of one shape hold equal numbers."""
+    if object in (left.dtype, right.dtype):
+        return bool(left.tolist() == right.tolist())  # lists compare no object with itself
+    return bool((left == right).all())
 
 
 def to_integer_array(values: Iterable[int]) -> Numbers:

@@ -145,13 +145,16 @@ def build_explicit_model(
     choices = list(starmap(range, pairwise(first_choice)))
     actions, names = _number_actions(choices, choice_words, action_names)
     rows = list[tuple[int, int, list[tuple[Any, int, Any]]]]()
+    by_branch = any("branches" in own for own in rewards.values())
     for state, own in enumerate(choices):
         for choice in own:
-            outcomes = []
-            for k in range(first_branch[choice], first_branch[choice + 1]):
-                earned = _collect_rewards(rewards, state, choice, k)
-                outcomes.append((chances[k], targets[k], earned))
-            rows.append((state, actions[choice], outcomes))
+            begin, end = first_branch[choice], first_branch[choice + 1]
+            if by_branch:
+                earned = [_collect_rewards(rewards, state, choice, k) for k in range(begin, end)]
+            else:
+                earned = [_collect_rewards(rewards, state, choice, begin)] * (end - begin)
+            outcomes = zip(chances[begin:end], targets[begin:end], earned, strict=True)
+            rows.append((state, actions[choice], list(outcomes)))
         if not own:
             rows.append((state, 0, [(1, state, 0)]))
     if discount is None:
