@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields, replace
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from math import gcd, lcm
 from numbers import Rational
 from typing import Any
@@ -587,25 +588,15 @@ def to_common_denominator(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
 
 def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return rationals (N,) as integers (N,), with one common denominator for each group."""
-    # A model has few different numbers, and most are one object wherever they occur.
-    distinct, copies = find_distinct(values)
-    top = to_integer_array(number.numerator for number in distinct)[copies]
-    bottom = to_integer_array(number.denominator for number in distinct)[copies]
-    lengths = np.diff(offsets)
-    filled = lengths > 0
-    if not filled.any() or find_magnitude(bottom) == 1:
-        return top, make_ones(len(lengths))
-    # A least common multiple has at most as many bits as all denominators of its group together.
-    begins = offsets[:-1][filled]
-    bits = np.array([(number.denominator - 1).bit_length() for number in distinct])[copies]
-    if np.add.reduceat(bits, begins).max() >= 62:
-        bottom = bottom.astype(object)
-    common = np.ones(len(lengths), dtype=bottom.dtype)
-    common[filled] = np.lcm.reduceat(bottom, begins)
-    top = multiply(top, np.repeat(common, lengths) // bottom)
-    if object in (top.dtype, common.dtype):
-        return to_integer_array(top.tolist()), to_integer_array(common.tolist())
-    return top, common
+    if all(number.denominator == 1 for number in values):
+        return to_integer_array(number.numerator for number in values), make_ones(len(offsets) - 1)
+    tops: list[int] = []
+    bottoms: list[int] = []
+    for first, last in pairwise(offsets.tolist()):
+        whole, bottom = to_common_denominator(values[first:last])
+        tops += whole
+        bottoms.append(bottom)
+    return to_integer_array(tops), to_integer_array(bottoms)
 
 
 def find_distinct(values: Sequence[Any]) -> tuple[list[Any], Integers]:
@@ -613,9 +604,10 @@ def find_distinct(values: Sequence[Any]) -> tuple[list[Any], Integers]:
 
     Objects are told apart by where they are in memory, without comparing them.
     """
-    places = np.fromiter(map(id, values), np.int64, len(values))
-    _, first, copies = np.unique(places, return_index=True, return_inverse=True)
-    return [values[number] for number in first.tolist()], copies
+    distinct = dict(zip(map(id, values), values, strict=True))
+    number = {place: count for count, place in enumerate(distinct)}
+    copies = np.fromiter((number[id(value)] for value in values), np.int64, len(values))
+    return list(distinct.values()), copies
 
 
 def find_nonzero(values: Numbers) -> NDArray[np.bool_]:
