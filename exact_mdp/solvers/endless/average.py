@@ -24,8 +24,8 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import PairGraph
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.table import Floats

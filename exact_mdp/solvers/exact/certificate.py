@@ -20,10 +20,9 @@ from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.graph import Mask, PairGraph
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, build_uniform_policy
