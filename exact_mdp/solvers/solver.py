@@ -22,7 +22,7 @@ from exact_mdp.solvers.arguments import (
     require_no_horizon,
 )
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
-from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
+from exact_mdp.solvers.dynamic.base import Solver, check_tolerance, orient_start
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (
     BackwardInduction,
@@ -31,7 +31,6 @@ from exact_mdp.solvers.dynamic.methods import (
     PolicyIteration,
     ValueIteration,
 )
-from exact_mdp.solvers.dynamic.start import orient_start
 from exact_mdp.solvers.endless.average import solve_average
 from exact_mdp.solvers.endless.total import round_exact_solution, solve_total
 from exact_mdp.solvers.objectives.limits import solve_under

@@ -15,7 +15,7 @@ in `solver.SOLVERS` and in `exact_mdp/__init__.pyi`, and `maximise(model)`, whic
             values.apply_backup()               # the step: V ← T V, and whatever else helps
         return stopping.conclude(self, started)
 
-It need not bound its own error: `stopping` proves the bounds. Values that come from anywhere else
-are bounded by `bounds.bound_optimal_values(mdp, value)`. The tests of solvers run over all of
+It need not bound its own error: the stopping rule proves the bounds. Values that come from anywhere
+else are bounded by `bounds.bound_optimal_values(mdp, value)`. The tests of solvers run over all of
 `SOLVERS`: laws, discounts next to 1, totals without end, published cases.
 """

@@ -28,13 +28,13 @@ from exact_mdp.solvers.bounds.bounds import bound_optimal_values, solve_backward
 from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.dynamic.base import (
     Solver,
+    StoppingRule,
     check_counts,
     check_tolerance,
     conclude_solution,
+    read_start_values,
 )
 from exact_mdp.solvers.dynamic.evaluation import PolicyEvaluation
-from exact_mdp.solvers.dynamic.start import read_start_values
-from exact_mdp.solvers.dynamic.stopping import StoppingRule
 from exact_mdp.solvers.dynamic.values import PATIENCE, Values
 from exact_mdp.solvers.solution import Solution
 
