@@ -46,10 +46,11 @@ from exact_mdp.solvers.claims import Bounded, Certified
 from exact_mdp.solvers.exact.certificate import Certificate, require_sound_proof
 from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
+from exact_mdp.solvers.objectives.totals import flow_of
 from exact_mdp.solvers.solution import answer_maximised
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
-from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,6 @@ from exact_mdp.solvers.exact.linear import (
     evaluate_exactly,
     solve_policy_equations,
 )
-from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.totals import OccupancyMeasure
 from exact_mdp.solvers.solution import Valued
 
 
@@ -508,37 +506,6 @@ class OfPolicy(Valued):
         size = np.abs(amounts)
         off = doubt @ size + rounding * (used @ size) + (used + doubt) @ component_errors(self.mdp)
         return used @ amounts, off * SLACK
-
-
-def flow_of(of: Objectives, policy: PolicyLike) -> OccupancyMeasure:
-    """Return the exact occupancy measure of a policy, from which totals are computed."""
-    chain = replace(PolicyChain.of(of.given, policy), mdp=of.ending)
-    if of.reduced:
-        chain = _end_where_nothing_counts(of, chain)
-    visits = chain.exact_visits.to_fractions()
-    uses = {}
-    for state in np.flatnonzero(chain.reached & ~chain.mdp.terminal).tolist():
-        if visits[state]:
-            for pair, share in chain.exact_weights(state).items():
-                uses[pair] = share * visits[state]
-    return OccupancyMeasure.of(of.restrict_visits(uses))
-
-
-def _end_where_nothing_counts(of: Objectives, chain: PolicyChain) -> PolicyChain:
-    """Return a chain that ends where it stays and nothing is counted, if its totals are finite."""
-    ended = of.finite.ended
-    if of.given.goal is None:
-        # Events, which no total may count, do not matter.
-        plain = of.ending.with_(table=replace(of.ending.table, event=None), events=())
-        ended = ended | replace(chain, mdp=plain).stays_unrewarded
-    stays = np.flatnonzero(chain.reached & chain.classes.recurrent & ~ended)
-    if len(stays):
-        raise ModelError(
-            "the policy never ends, or misses the goal, and its totals are not finite",
-            where=f"policy, {of.given.space.place(int(stays[0]))}",
-            fix=ways_out(of.given, "take a policy that ends"),
-        )
-    return chain.make_terminal(ended)
 
 
 @dataclass(frozen=True, eq=False)
