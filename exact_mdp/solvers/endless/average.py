@@ -39,10 +39,11 @@ from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.dynamic.base import Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram, least_above, own_states
 from exact_mdp.solvers.dynamic.methods import (
+    AveragePolicyIteration,
+    Improved,
     PolicyIteration,
     ValueIteration,
 )
-from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration, Improved
 from exact_mdp.solvers.endless.chain import FloatChain
 from exact_mdp.solvers.endless.quotient import stop_in_components
 from exact_mdp.solvers.solution import Solution, answer_maximised

@@ -29,7 +29,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.claims import SolverError
-from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration
+from exact_mdp.solvers.dynamic.methods import AveragePolicyIteration
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import compute_laurent_expansion as laurent
 from exact_mdp.solvers.exact.certificate import Certificate
