@@ -28,8 +28,7 @@ from exact_mdp.mdp.forms.names import integer_of, is_number
 from exact_mdp.mdp.forms.numbers import convert_tensors, refuse_masked
 from exact_mdp.mdp.io.files import LARGE, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.formats import POLICIES, Format, find_format, join_endings, split_part
-from exact_mdp.mdp.io.npz import read_array
-from exact_mdp.mdp.io.structured import csv_of, json_of
+from exact_mdp.mdp.io.structured import csv_of, json_of, read_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import (
     Parts,

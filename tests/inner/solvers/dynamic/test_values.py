@@ -1,4 +1,4 @@
-"""A pass held to loops over pairs and to optimal values; values that a user's own solver improves."""
+"""A pass held to loops over pairs and to optimal values; values that a user's solver improves."""
 
 from dataclasses import dataclass
 from time import perf_counter
