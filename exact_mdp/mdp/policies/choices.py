@@ -40,11 +40,11 @@ from exact_mdp.mdp.policies.arrays import (
     warn_unread,
 )
 from exact_mdp.mdp.policies.tables import (
-    array_of_lists,
     find_part,
     is_number_text,
     parse_digits,
     parse_key,
+    parse_lists,
     parse_number,
     read_lines,
     read_table,
@@ -481,7 +481,7 @@ def read_policy_json(model: MDP, path: str | Path, *, kind: str) -> Parts:
     content = json_of(read_text(file), file, parse_float=str, parse_int=parse_digits)
     content = find_part(content, name, file)
     if isinstance(content, list):
-        return of_given_array(model, array_of_lists(content), kind)
+        return of_given_array(model, numbers_of(parse_lists(content)), kind)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):
         first = "0"
@@ -515,7 +515,7 @@ def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
     table = read_table(model, lines, comment)
     if isinstance(table, dict):
         return of_mapping(model, table, kind)
-    return of_given_array(model, table, kind)
+    return of_given_array(model, numbers_of(table), kind)
 
 
 def _read_long_q_table(model: MDP, text: str, places: Sequence[int], kind: str) -> Parts:
