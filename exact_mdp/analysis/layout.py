@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from exact_mdp.analysis.gate.reasons import format_alternatives
+from exact_mdp.analysis.gate.criteria import format_alternatives
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.forms.names import text_of

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.criteria import Total, Verdict, format_claimed_number
-from exact_mdp.analysis.gate.data.interval import RegretInterval
-from exact_mdp.analysis.gate.proof import certify_regret
-from exact_mdp.analysis.gate.reasons import (
+from exact_mdp.analysis.gate.criteria import (
     Disagreement,
     Findings,
-    QError,
-    Representation,
+    Total,
+    Verdict,
     format_alternatives,
-    q_error,
+    format_claimed_number,
 )
+from exact_mdp.analysis.gate.data.interval import RegretInterval
+from exact_mdp.analysis.gate.proof import certify_regret
+from exact_mdp.analysis.gate.reasons import QError, Representation, q_error
 from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
