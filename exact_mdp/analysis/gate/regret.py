@@ -69,7 +69,7 @@ from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import evaluate_exactly
 from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.solution import answer_maximised, at_start
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.total import solve_total
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.policy_values import find_policy_values
 
@@ -487,7 +487,7 @@ def _find_losing_pairs(ideal: PolicyChain, known: BoundedVector, least_gap: Floa
 @cache_on_model
 def bounded_optimum(mdp: MDP) -> Bounds:
     """Return bounds around the optimal values, as narrow as double precision allows."""
-    solved = solve(mdp)
+    solved = solve_total(mdp)
     bounds = bound_optimal_values(mdp, solved.value)
     # 2^-36 of the largest value is about 1e-11: wider bounds come from a solver that stopped at its
     # tolerance of 1e-9, while the values of a policy are exact up to rounding.

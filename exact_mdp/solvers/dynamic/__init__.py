@@ -1,7 +1,7 @@
 """Dynamic programming and linear programming: one class for each algorithm.
 
 To add a solver, write a frozen dataclass of its settings that is a `base.Solver`: it has a `name`
-in `solver.SOLVERS` and in `exact_mdp/__init__.pyi`, and `maximise(model)`, which returns a
+in `total.SOLVERS` and in `exact_mdp/__init__.pyi`, and `maximise(model)`, which returns a
 `Solution`. An algorithm that improves values step by step inherits its settings from
 `methods.Improving`, and writes its loop:
 
