@@ -1,4 +1,4 @@
-"""The ranges over which parameters are varied, by default ± 20 % of today's value, and points.
+"""The ranges over which parameters are varied: by default ± 20 % of today's value.
 
 A range file is TOML: `"base.anger" = [0.02, 0.10]`, or tables that spell the dotted name.
 """
