@@ -237,7 +237,7 @@ def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
     `exact` is True for rational arithmetic and False for bounds; by default the model's size
     decides.
     """
-    return answer_maximised(chain.mdp, lambda mdp: _compute_regret(replace(chain, mdp=mdp), exact))
+    return answer_maximised(chain.mdp, lambda mdp: _compute_regret(chain.over(mdp), exact))
 
 
 def _compute_regret(chain: PolicyChain, exact: bool | None) -> Regret:

@@ -71,12 +71,16 @@ def fill_missing_rows(
     known, complete = [], True
     for own in P:
         for cell in own:
-            if cell is None or (_is_list(cell) and not len(cell)):
+            if cell is None:
                 complete = False
-            else:
+            elif not _is_list(cell):
+                return P, R, layout, None
+            elif len(cell):
                 known.append(cell)
+            else:
+                complete = False
     lengths = {*map(len, P)}
-    if not all(map(_is_list, known)) or (complete and len(lengths) == 1):
+    if complete and len(lengths) == 1:
         return P, R, layout, None
     # Find the layout from the number of states, which is the length of a row.
     states = max(map(len, known), default=0)

@@ -261,9 +261,8 @@ class Certificate(Proof, Pictured):
         return self.h
 
     def _with_infinite(self, values: Numbers) -> Numbers:
-        extended = values.copy()
-        for sign in (1, -1):
-            extended[self.infinite_sign == sign] = self.sense.orient(sign * inf)
+        extended, infinite = values.copy(), self.infinite_sign != 0
+        extended[infinite] = self.infinite_sign[infinite] * (self.sense.sign * inf)
         extended.setflags(write=False)
         return extended
 

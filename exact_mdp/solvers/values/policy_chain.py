@@ -266,9 +266,10 @@ class PolicyChain:
     @cached_property
     def graph(self) -> sp.csr_array:
         """(S, S) entries where a transition is possible, however rare."""
-        if self.probability.min() > 0:
+        # The rows of a model have an entry for each outcome, even if it underflows to 0; products
+        # with the probabilities of actions may lack it, and the outcomes then have the edges.
+        if self.pure or self.probability.min() > 0:
             return self.transition
-        # Some probabilities underflow to 0 in floats: take the edges from the outcomes.
         moves = np.where(self.mdp.terminal, 0, self.outcomes)
         following = self.table.next[~self.mdp.terminal[self.source]]
         parts = np.ones(len(following)), following, np.append(0, np.cumsum(moves))
@@ -467,6 +468,12 @@ class PolicyChain:
     def exactly(self) -> ExactChain:
         """The exact chain at discount 1, in which terminal states go on forever."""
         return ExactChain(self.build_bellman_rows(Fraction(1)))
+
+    def over(self, mdp: MDP) -> PolicyChain:
+        """Return the chain in a model with the same pairs: itself, if it is the chain's own."""
+        if mdp is self.mdp:
+            return self
+        return replace(self, mdp=mdp)
 
     def make_terminal(self, states: Mask) -> PolicyChain:
         """Return the chain with some states (S,) made terminal."""

@@ -241,7 +241,7 @@ def test_bounds_of_the_optimum_are_made_narrow_if_the_solver_stopped_early(
                     calls.append(1)
                     super().__init__(**of)
 
-            monkeypatch.setattr(module, "solve", lambda _, early=early: early)
+            monkeypatch.setattr(module, "solve_total", lambda _, early=early: early)
             monkeypatch.setattr(module, "PolicyIteration", Counted)
             bounds = bounded_optimum(replace(mdp))
             assert bounds.error <= 2.0**-36 * abs(bounds.value).max()
