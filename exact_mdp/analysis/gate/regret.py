@@ -32,11 +32,11 @@ from exact_mdp.analysis.gate.forgiveness import (
     compute_tie_gaps,
     round_finite_values,
 )
-from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.graph import find_reachable_states, label_components
 from exact_mdp.mdp.model import MDP, cache_on_model
+from exact_mdp.mdp.questions.advice import other_question, ways_out
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import LARGEST, Floats, format_rational
 from exact_mdp.mdp.table import exact as exact_number

@@ -21,7 +21,6 @@ from typing import Any, ClassVar, TypeVar, Unpack
 import numpy as np
 
 from exact_mdp.analysis.vary.ranges import read_points
-from exact_mdp.mdp.advice import warn_of_zero_reward
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import (
     DistributionError,
@@ -37,6 +36,7 @@ from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.parametric.row_change import check_alike
 from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.advice import warn_of_zero_reward
 from exact_mdp.mdp.report import format_cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.sense import Sense

@@ -15,11 +15,11 @@ from typing import Literal, overload
 
 import numpy as np
 
-from exact_mdp.mdp.advice import where_endless
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP, cache_on_model
+from exact_mdp.mdp.questions.advice import where_endless
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.arguments import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.bounds.bounds import margin_weights

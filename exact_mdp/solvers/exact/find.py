@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import Mask, PairGraph, find_reachable_states
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.questions.advice import other_question, ways_out
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.claims import SolverError

@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import PairGraph, find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.advice import ways_out
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact import codec, duals

@@ -27,13 +27,13 @@ from typing import ClassVar, Literal, overload
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import Mask, find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.advice import ways_out
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats

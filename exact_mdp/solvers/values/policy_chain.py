@@ -26,12 +26,12 @@ from math import inf
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
 from exact_mdp.mdp.graph import Mask, find_reachable_nodes, find_start_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
+from exact_mdp.mdp.questions.advice import ways_out
 from exact_mdp.mdp.questions.ending import make_terminal
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
