@@ -32,7 +32,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from exact_mdp.analysis.gate.class_losses import (
-    chain_of_pairs,
     charge_class_losses,
     final_class,
     find_attaining_pairs,
@@ -202,7 +201,7 @@ class Average(Total):
             # A pair is a near tie if rounding in its row and in the best row may cause its gap.
             most = _per_use(chain, best)
             near = gap * SLACK <= most + most[best.pairs][step.pair_state]
-            ideal = chain_of_pairs(step, best.pairs)
+            ideal = PolicyChain.of_pairs(step, best.pairs)
             moved = _compute_gain_allowance(ideal, best) + _compute_gain_allowance(chain, mine)
             movable = partial(Fraction, moved * SLACK)
             optimal = include_near_ties(chain, optimal, near, whole, movable)

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.analysis.gate.class_losses import (
-    chain_of_pairs,
     compute_exact_row,
     final_class,
     to_blame,
@@ -332,8 +331,8 @@ class _ExactValues:
         """The chain of an optimal policy: if all policies end, of the first optimal pairs."""
         mdp, best = self.chain.mdp, self.best
         if mdp.ends.has_improper_policy:
-            return chain_of_pairs(mdp, best.pairs)
-        return chain_of_pairs(mdp, first_of(mdp, best.optimal_pairs))
+            return PolicyChain.of_pairs(mdp, best.pairs)
+        return PolicyChain.of_pairs(mdp, first_of(mdp, best.optimal_pairs))
 
     @cached_property
     def allowance(self) -> Fraction:
@@ -416,7 +415,7 @@ def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     if not np.array_equal(chain.pairs, optimum.pairs):
         own = find_policy_values(chain)
     # Pairs that are not proven to lose count as optimal; some of them are open.
-    near, ideal = ActionBounds(mdp, optimum), chain_of_pairs(mdp, optimum.pairs)
+    near, ideal = ActionBounds(mdp, optimum), PolicyChain.of_pairs(mdp, optimum.pairs)
     loses = _find_losing_pairs(ideal, known, near.least_gap)
     losses = partial(
         StateLosses,

@@ -133,8 +133,8 @@ class RegretCertificate(Proof):
 
 # ---- finding one ---------------------------------------------------------------------------------
 
-# Both proofs are made in the same way: by values alone where every policy of the model ends, else by
-# gain and bias, or with a goal by the proof of where values are infinite (`solvers.exact.find`).
+# Both proofs are made in the same way: by values alone where every policy of the model ends, else
+# by gain and bias, or with a goal by the proof of where values are infinite (`solvers.exact.find`).
 
 
 def certify_regret(chain: PolicyChain, *, average: bool) -> RegretCertificate:

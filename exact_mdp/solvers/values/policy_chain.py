@@ -122,6 +122,11 @@ class PolicyChain:
         return cls(mdp=mdp, chosen=policy.weights(mdp), policy=policy)
 
     @classmethod
+    def of_pairs(cls, mdp: MDP, pairs: Integers) -> PolicyChain:
+        """Return the chain of the deterministic policy that takes these pairs (S,)."""
+        return cls(mdp=mdp, chosen=np.bincount(pairs, minlength=mdp.n_pairs).astype(float))
+
+    @classmethod
     def held_fixed(cls, mdp: MDP, policy: PolicyLike) -> tuple[PolicyChain, Mask]:
         """Return the chain of a policy that is kept in other models, and its undecided states.
 

@@ -215,7 +215,7 @@ def test_pairs_lose_if_their_least_gap_is_more_than_a_tie_allows() -> None:
             ]
             mdp = MDP.from_outcomes([*rows[:-2], (2, 0, [(kind(1), 2, kind(1.5))])], discount)
             optimum = bounded_optimum(mdp)
-            ideal = module.chain_of_pairs(mdp, optimum.pairs)
+            ideal = PolicyChain.of_pairs(mdp, optimum.pairs)
             known = BoundedVector(value=optimum.value, error=optimum.state_error)
             tie = module.compute_tie_gaps(ideal, known)
             for times in (-1.0, 0.0, 0.01, 0.9, 1.0, 1.5, 1e3, 1e9):

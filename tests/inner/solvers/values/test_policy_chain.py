@@ -297,6 +297,14 @@ def test_a_state_of_chance_0_is_no_start() -> None:
     assert PolicyChain.of(mdp, "random").reached.tolist() == [False, False, True]
 
 
+def test_a_policy_that_takes_pairs() -> None:
+    mdp = small_model(3)
+    rng = np.random.default_rng(0)
+    pairs = np.array([rng.choice(mdp.pairs_of(s)) for s in range(mdp.n_states)])
+    assert PolicyChain.of_pairs(mdp, pairs).pairs.tolist() == pairs.tolist()
+    assert PolicyChain.of_pairs(mdp, pairs).chosen.dtype == np.float64
+
+
 def test_what_is_too_rare_for_floats_is_possible() -> None:
     rare = F(1, 10**400)
     rows: Any = [
