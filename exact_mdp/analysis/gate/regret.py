@@ -272,7 +272,9 @@ def is_cheap_to_certify(mdp: MDP, cycle: int = 200) -> bool:
     most = EXACT_IN_TIME
     if mdp.space.untimed is None:
         most = EXACT_TRANSITIONS
-    return mdp.n_transitions <= most and _longest_cycle(mdp) <= cycle
+    if mdp.n_transitions > most:
+        return False
+    return mdp.n_states <= cycle or _longest_cycle(mdp) <= cycle
 
 
 @cache_on_model
