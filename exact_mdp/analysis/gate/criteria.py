@@ -449,10 +449,10 @@ def list_disagreements(
     in these classes.
     """
     mdp, weights, first = chain.mdp, chain.weights, chain.mdp.pair_offsets[:-1]
-    visits = np.where(label >= 0, np.inf, came)
+    visits, optimal = np.where(label >= 0, np.inf, came), regret.optimal_pairs
     # The mean gap of a state's actions; a state is wrong if it takes any pair that is not optimal.
     gap = np.add.reduceat(weights * np.where(weights > 0, regret.gap, 0.0), first)
-    wrong = np.add.reduceat(weights * ~regret.optimal_pairs, first) > 0
+    wrong = np.add.reduceat(weights * ~optimal, first) > 0
     # Cost is visits times gap, without the undefined products of 0 and infinity.
     cost = np.where(gap > 0, visits, 0.0) * np.where(visits > 0, gap, 0.0)
     # A recurrent class may lose without any gap, by staying: that is charged to its wrong states.
@@ -461,9 +461,9 @@ def list_disagreements(
     states, disagreements = np.flatnonzero(wrong & ~mdp.terminal), []
     # The costliest first, then the largest gap, then the smallest number.
     for state in states[np.lexsort((states, -gap[states], -cost[states]))].tolist():
-        right = [pair for pair in mdp.pairs_of(state) if regret.optimal_pairs[pair]]
+        right = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
         if isinstance(regret.optimum, Certificate):
-            right = find_attaining_pairs(mdp, regret.optimum, regret.optimal_pairs, state)
+            right = find_attaining_pairs(mdp, regret.optimum, optimal, state)
         disagreements.append(
             Disagreement(
                 state=state,
