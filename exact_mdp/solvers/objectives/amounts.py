@@ -24,10 +24,10 @@ from functools import cached_property
 
 import numpy as np
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.forms.names import find_free_name
+from exact_mdp.mdp.graph import PairGraph
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
