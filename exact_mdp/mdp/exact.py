@@ -31,7 +31,8 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from numbers import Rational
+from typing import TYPE_CHECKING, cast
 
 import flint
 import numpy as np
@@ -212,6 +213,17 @@ def to_flint(number: Fraction | int) -> fmpq:
     return number_q
 
 
+@dataclass(frozen=True, slots=True)
+class _LowestTerms:
+    """A rational in lowest terms, which `Fraction` copies without reducing it again."""
+
+    numerator: int
+    denominator: int
+
+
+Rational.register(_LowestTerms)
+
+
 def from_flint(number: fmpq) -> Fraction:
     """Return FLINT's rational as Python's."""
-    return Fraction(int(number.p), int(number.q))
+    return Fraction(cast(Rational, _LowestTerms(int(number.p), int(number.q))))

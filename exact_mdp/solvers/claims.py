@@ -311,17 +311,14 @@ class Bounded(ClaimedNumber):
     )
 
     @property
-    def bounds(self) -> LowHigh:
-        """The ends of the interval."""
-        return self.interval
-
-    @property
     def interval(self) -> tuple[float, float]:
         """Lower and upper bound."""
         if not np.isfinite(self.error):
             return -np.inf, np.inf
         low, high = self.value - self.error, self.value + self.error
         return float(np.nextafter(low, -np.inf)), float(np.nextafter(high, np.inf))
+
+    bounds = interval
 
     def __str__(self) -> str:
         return f"{self.value:.12g} ± {self.error:.1g} ({self.claim})"
@@ -396,15 +393,12 @@ class Estimated(ClaimedNumber):
     advice = "compare float(number), the mean alone, or estimate it from more draws"
 
     @property
-    def bounds(self) -> LowHigh:
-        """The ends of the 95 % interval."""
-        return self.interval
-
-    @property
     def interval(self) -> tuple[float, float]:
         """The normal 95 % interval, widened by `cut_off` on both sides."""
         half = NORMAL * self.standard_error + self.cut_off
         return self.value - half, self.value + half
+
+    bounds = interval
 
     def __float__(self) -> float:
         return self.value

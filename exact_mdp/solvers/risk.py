@@ -24,7 +24,7 @@ from fractions import Fraction
 from functools import cache, cached_property, partial
 from itertools import groupby
 from math import gcd, lcm
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -59,13 +59,6 @@ from exact_mdp.solvers.values.returns import tail_mean
 CELLS = 20_000_000  # outcomes times returns, which limits memory
 EXACT_CELLS = 2_000_000  # the most of them for exact numbers by default: measured, 20 s
 WHERE = "risk of the return"
-
-
-class BudgetedValues(Protocol):
-    """The values of the new states, exact or as floats."""
-
-    def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> Any:
-        """Return Σ weight · x(s) over (state, weight) pairs."""
 
 
 class Budgeted:
@@ -174,7 +167,7 @@ class Budgeted:
         """Return the new states in which episodes start, with their probabilities."""
         return tuple((self.find_state(s, threshold), p) for s, p in self.mdp.start)
 
-    def compute_cvar(self, values: BudgetedValues, threshold: int, level: Fraction) -> Any:
+    def compute_cvar(self, values: Level | FloatValues, threshold: int, level: Fraction) -> Any:
         """Return the CVaR of the best policy for a threshold."""
         lacking = sum(p * max(threshold - int(self.high[s]), 0) for s, p in self.mdp.start)
         return threshold + (values.compute_mean(self.list_start(threshold)) - lacking) / level

@@ -258,6 +258,4 @@ def break_near_ties(solution: Solution) -> Solution:
         noise = gamma(np.diff(apart.indptr) + 8) * (np.abs(earned) + rate * sums[1])
         better = earned + rate * sums[0] > noise + rate * sums[2]
         pairs[state[rival[better]]] = rival[better]
-    if np.array_equal(pairs, solution.pairs):
-        return solution
     return replace(solution, pairs=pairs)

@@ -302,8 +302,7 @@ class ExactChain:
 
     def compute_visits(self, start: Sequence[tuple[int, Fraction]]) -> Numbers:
         """Return (S,) expected visits from a start until a base, that arrival included."""
-        (visits,) = compute_expected_visits(self.rows, ~self.classes.at_base, start)
-        return visits.to_fractions()
+        return compute_expected_visits(self.rows, ~self.classes.at_base, start).to_fractions()
 
     def compute_limit_distribution(
         self, start: Sequence[tuple[int, Fraction]]

@@ -40,7 +40,6 @@ from exact_mdp.solvers.endless.quotient import (
     build_quotient,
     choose_first_pairs,
     choose_nearer_pairs,
-    merge_components,
 )
 from exact_mdp.solvers.exact.find import best_average, no_falling
 from exact_mdp.solvers.solution import Solution
@@ -157,26 +156,38 @@ class ImproperPolicies:
     # ---- the finite model --------------------------------------------------------------------
 
     @cached_property
-    def _merged(self) -> tuple[Integers, Mask]:
-        """The zero-reward components of finite values, as `zero_reward`; none if missing pays."""
+    def kept(self) -> Mask:
+        """(L,) True for pairs of states of finite values, ends apart, that lead only to such."""
         finite = self.sign == 0
-        if self.mdp.ends.missing_pays:
-            finite = np.zeros_like(finite)
-        component, pairs = self.zero_reward
-        inside = pairs & finite[self.mdp.pair_state] & self.graph.find_pairs_within(finite)
-        return np.where(finite, component, -1), inside
+        live = finite & ~self.mdp.ends.destination
+        return np.asarray(live[self.mdp.pair_state] & self.graph.find_pairs_within(finite))
+
+    @cached_property
+    def _merged(self) -> tuple[Integers, Mask]:
+        """The zero-reward components of finite values, as `zero_reward`."""
+        component, inside = self.zero_reward
+        inside = inside & self.kept
+        return np.where(self.graph.find_states_with(inside), component, -1), inside
 
     def apply(self) -> Quotient:
         """Return the model of the finite values, in which each zero-reward component is one state.
 
         Some of its policies may still be improper: they lose in cycles.
         """
-        finite = self.sign == 0
-        live = finite & ~self.mdp.ends.destination
-        kept = live[self.mdp.pair_state] & self.graph.find_pairs_within(finite)
-        # Without a goal, a component has a pair to the end, and is an end if it cannot be left.
-        may_stop = not self.mdp.ends.has_goal
-        return self.build_part(*merge_components(self.graph, kept, self._merged, may_stop=may_stop))
+        # Components are left by pairs that are kept; states that no pair leaves become the end.
+        graph, (component, inside) = self.graph, self._merged
+        pairs = self.kept & ~inside
+        left = graph.find_states_with(pairs)
+        numbers = np.unique(component[left & (component >= 0)])
+        new_state = np.full(graph.states, -1)
+        joined, single = np.isin(component, numbers), left & (component < 0)
+        new_state[joined] = np.searchsorted(numbers, component[joined])
+        new_state[single] = len(numbers) + np.arange(int(single.sum()))
+        # Without a goal, a run may also stop in a component.
+        stops = list[tuple[int, Fraction]]()
+        if not self.mdp.ends.has_goal:
+            stops = [(number, Fraction(0)) for number in range(len(numbers))]
+        return self.build_part(pairs, new_state, stops)
 
     def build_part(
         self, pairs: Mask, new_state: Integers, stops: Sequence[tuple[int, Fraction]] = ()

@@ -163,27 +163,6 @@ def build_quotient(
     return Quotient(mdp=model, new_state=new_state, source=source)
 
 
-def merge_components(
-    graph: PairGraph, kept: Mask, merged: tuple[Integers, Mask], *, may_stop: bool
-) -> tuple[Mask, Integers, list[tuple[int, Fraction]]]:
-    """Return pairs (L,), new states (S,) and stops of the model in which components are states.
-
-    `merged` has the component (S,) of each state, or -1, and the pairs (L,) inside, which are left
-    out of those that are `kept` (L,). States that no pair leaves become the end; all others that
-    were merged have a stop if a run `may_stop` in them.
-    """
-    component, inside = merged
-    pairs = kept & ~inside
-    left = graph.find_states_with(pairs)
-    numbers = np.unique(component[left & (component >= 0)])
-    new_state = np.full(graph.states, -1)
-    joined, single = np.isin(component, numbers), left & (component < 0)
-    new_state[joined] = np.searchsorted(numbers, component[joined])
-    new_state[single] = len(numbers) + np.arange(int(single.sum()))
-    stops = [(number, Fraction(0)) for number in range(len(numbers) * may_stop)]
-    return pairs, new_state, stops
-
-
 def extract_components(mdp: MDP, component: Integers, inside: Mask) -> Quotient:
     """Return the components (S,), and pairs (L,), as a model with an end that none reaches."""
     chosen = component >= 0

@@ -24,6 +24,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import Mask, PairGraph
 from exact_mdp.mdp.io import model_json
+from exact_mdp.mdp.io.parts import write_object
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, build_uniform_policy
 from exact_mdp.mdp.result import DataFrame, Pictured, Result
@@ -97,7 +98,7 @@ class Proof(Result):
 
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON, for `exact-mdp verify`; docs/reference/certificates.md."""
-        codec.save_proof(self, path)
+        write_object(path, codec.build_file_content(self))
 
     @classmethod
     def load(cls, path: str | Path, model: MDP | None = None) -> Self:

@@ -171,10 +171,8 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         raise ModelError(
             "the solution belongs to another model", where="certify", fix="solve this one"
         )
-    # Weights w with their margins, rounded down, and the advantages over the solution's values.
-    weight = np.where(mdp.terminal, 0.0, margin_weights(mdp).value)
-    lost = compute_advantages(mdp, weight, reward=np.zeros(mdp.n_pairs))
-    margin, value = -(lost.value + lost.error), np.array(solution.value)
+    # The advantages over the solution's values, and weights w with their margins.
+    weights, value = margin_weights(mdp), np.array(solution.value)
     near = compute_advantages(mdp, value)
     gain, first = near.value, near.error + 8 * UNIT * np.abs(value).max()
 
@@ -185,9 +183,8 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         # tests the second was always large enough.
         for _ in range(3):
             # Move the values by c w, with c from the advantages and errors, and check the result.
-            surplus = sign * gain[pairs] + error[pairs]
-            step = max(0.0, float((surplus / margin[pairs]).max(initial=0.0)))
-            moved = value + sign * step * weight
+            ratios = weights.compute_ratios(sign * gain + error)[pairs]
+            moved = value + sign * float(ratios.max(initial=0.0)) * weights.value
             after = compute_advantages(mdp, moved)
             if (sign * after.value[pairs] <= -after.error[pairs]).all():
                 return Level.of([Fraction(number) for number in moved.tolist()])

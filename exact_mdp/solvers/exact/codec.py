@@ -32,7 +32,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
-from exact_mdp.mdp.io.parts import encode_hexadecimal, write_object
+from exact_mdp.mdp.io.parts import encode_hexadecimal
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.exact.checker import Unreadable, check_keys, ensure, once
@@ -133,11 +133,6 @@ def rebuild_proof(proof: Any) -> Any:
 def build_file_content(proof: Any, integer: Callable[[int], object] = hex) -> dict[str, Any]:
     """Return the content of a proof's file."""
     return {"format": FORMAT, "version": VERSION, **encode_record(proof, integer)}
-
-
-def save_proof(proof: Any, path: str | Path) -> None:
-    """Write a proof to a file atomically."""
-    write_object(path, build_file_content(proof))
 
 
 def load_proof(kinds: Mapping[str, type[T]], path: str | Path) -> T:

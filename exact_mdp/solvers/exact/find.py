@@ -227,11 +227,9 @@ def no_falling(mdp: MDP, states: Mask) -> None:
 
 def _restrict_rows(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Integers]:
     """Return the equations of some states (S,), with all others terminal, and their pairs (K,)."""
-    # Pairs that stay among these states; other states keep their first pair, without its reward.
+    # Pairs that stay among these states; other states keep their first pair.
     owner, inside = rows.pair_state, np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
     stays = states[owner] & inside
     stays[rows.pair_offsets[:-1][~states]] = True
     number = np.flatnonzero(stays)
-    part = rows.of_pairs(number)
-    constant = np.where(states[part.pair_state], part.constant, 0)
-    return replace(part, terminal=rows.terminal | ~states, constant=constant), number
+    return replace(rows.of_pairs(number), terminal=rows.terminal | ~states), number

@@ -13,35 +13,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import lcm
-from numbers import Rational
 from operator import mul
-from typing import cast
 
 import flint
 import numpy as np
 
-from exact_mdp.mdp.exact import BellmanRows
+from exact_mdp.mdp.exact import BellmanRows, from_flint
 from exact_mdp.mdp.table import Floats, Integers, Numbers, divide, to_common_denominator
-
-
-@dataclass(frozen=True, slots=True)
-class _LowestTerms:
-    """A rational in lowest terms, which `Fraction` copies without reducing it again."""
-
-    numerator: int
-    denominator: int
-
-
-Rational.register(_LowestTerms)
 
 
 def make_fraction(top: int, bottom: int) -> Fraction:
     """Return the Fraction top / bottom, for a positive bottom, in little more than linear time."""
     # FLINT's gcd is much faster than Python's for long integers.
-    numerator, denominator = flint.fmpz(top), flint.fmpz(bottom)
-    shared = numerator.gcd(denominator)
-    lowest = _LowestTerms(int(numerator // shared), int(denominator // shared))
-    return Fraction(cast(Rational, lowest))
+    return from_flint(flint.fmpq(top, bottom))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,21 +147,12 @@ def yield_level_advantages(
     numbers: Iterable[int] = range(len(state))
     if pairs is not None:
         numbers = pairs.tolist()
-    last, known = -1, dict[tuple[int, ...], tuple[int, int, int]]()
     for pair in numbers:
         own, here = state[pair], slice(offsets[pair], offsets[pair + 1])
-        if own != last:
-            last, known = own, {}
-        # Actions of a state are often alike: pairs with the same row and reward are computed once.
-        key = (tops[pair], belows[pair], *following[here], *weight[here])
-        if key not in known:
-            # γ P x - x over the scale of the state and the common denominator of x; then the
-            # reward.
-            values, unit = x.over_one([*following[here], own], group)
-            flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
-            top = tops[pair] * unit + flow * belows[pair]
-            known[key] = top, unit, scale[own] * belows[pair]
-        yield known[key]
+        # γ P x - x over the scale of the state and the common denominator of x; then the reward.
+        values, unit = x.over_one([*following[here], own], group)
+        flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
+        yield tops[pair] * unit + flow * belows[pair], unit, scale[own] * belows[pair]
 
 
 def compute_surpluses(

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import chain, pairwise
 from operator import mul
 from typing import TYPE_CHECKING, Any
@@ -165,38 +165,29 @@ def evaluate_exactly(
     there is one in each state.
     """
     if pairs is None:
-        pairs, alone = np.arange(len(rows.scale)), rows
-    else:
-        alone = rows.of_pairs(pairs)
+        pairs = np.arange(len(rows.scale))
     live, sides = ~rows.terminal, []
     for own in amounts or [rows.constant]:
         sides.append((own[pairs] * live).tolist())
-    return solve_all(build_equations(alone), sides)
+    return solve_all(build_equations(rows.of_pairs(pairs)), sides)
 
 
 def compute_expected_visits(
-    rows: BellmanRows, states: NDArray[np.bool_], *starts: Sequence[tuple[int, Fraction]]
-) -> list[Level]:
-    """Return the expected visits of all states from each start, for one pair in each state.
+    rows: BellmanRows, states: NDArray[np.bool_], start: Sequence[tuple[int, Fraction]]
+) -> Level:
+    """Return the expected visits of all states from a start, for one pair in each state.
 
     x(t) = μ(t) + Σ x(s) γ P(s, t) over some states s; the others count arrivals.
     """
-    sides, units = list[list[int]](), list[int]()
-    for start in starts:
-        # Each start as integers over one denominator.
-        first, unit = to_common_denominator([share for _, share in start])
-        side = [0] * len(rows.scale)
-        for (state, _), number in zip(start, first, strict=True):
-            side[state] += number
-        sides.append(side)
-        units.append(unit)
-    scale, levels = rows.scale.tolist(), solve_all(build_equations(rows, states).transposed, sides)
-    visits = []
-    for level, unit in zip(levels, units, strict=True):
-        # Each row of integers is its state's scale times the true row: undo this factor.
-        top = [*map(mul, level.top, scale)]
-        visits.append(replace(level, top=top, below=[unit * below for below in level.below]))
-    return visits
+    # The start as integers over one denominator.
+    shares, unit = to_common_denominator([share for _, share in start])
+    side = [0] * len(rows.scale)
+    for (state, _), number in zip(start, shares, strict=True):
+        side[state] += number
+    (level,) = solve_all(build_equations(rows, states).transposed, [side])
+    # Each row of integers is its state's scale times the true row: undo this factor.
+    top = [*map(mul, level.top, rows.scale.tolist())]
+    return replace(level, top=top, below=[unit * below for below in level.below])
 
 
 class _Solution:
@@ -303,15 +294,7 @@ class _Solution:
 
 
 def _compute_common_multiple(numbers: Iterable[fmpz]) -> fmpz:
-    multiple = flint.fmpz(1)
-    for number in numbers:
-        if multiple == 1:
-            multiple = number
-        else:
-            multiple = multiple.lcm(number)
-    if multiple > 0:
-        return multiple
-    return -multiple
+    return reduce(flint.fmpz.lcm, numbers, flint.fmpz(1))
 
 
 def _solve_component(

@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
+from math import inf
 
 import numpy as np
 
@@ -42,7 +43,12 @@ from exact_mdp.mdp.table import (
 from exact_mdp.solvers.endless.quotient import Quotient, choose_nearer_pairs
 from exact_mdp.solvers.exact.checker import Model
 from exact_mdp.solvers.exact.duals import Totals
-from exact_mdp.solvers.objectives.improper import Column, FiniteTotals, carry_over
+from exact_mdp.solvers.objectives.improper import (
+    Column,
+    FiniteTotals,
+    carry_over,
+    combine_columns,
+)
 
 REWARD, STEPS = "reward", "steps"
 STOPPED = "stopped"  # the state that a model has besides if its totals are averages of another
@@ -67,15 +73,17 @@ class Objectives:
         """
         self.given, self.texts = mdp, tuple(texts)
         self.names, columns = read_objectives(mdp, texts)
-        earning = np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
+        losing = -np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
         below = to_integer_array(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
-        table = replace(mdp.table, gain=earning, gain_denominator=below)
-        # A model with a reward wherever an objective has an amount, for its terminal states.
-        self.ending = mdp.with_(table=table, goal=None, sense="max")
+        table = replace(mdp.table, gain=losing, gain_denominator=below, event=None)
+        # A model that loses wherever an objective has an amount, for its terminal states.
+        self.ending = mdp.with_(table=table, events=(), goal=None, sense="max")
+        if mdp.goal is not None:
+            self.ending = self.ending.with_(goal=mdp.goal & self.ending.terminal, unreached=-inf)
         self.mdp, comparable = mdp, self.ending
-        self.finite = FiniteTotals(mdp, self.ending)
+        self.finite = FiniteTotals(self.ending, mdp)
         self._quotient: Quotient | None = None
-        if mdp.discount_exact == 1 and self.finite.applies:
+        if self.ending.ends.has_improper_policy:
             comparable, columns = self._omit_infinite_totals(columns, signs)
         # The equations that all objectives share, without constants. Times their scale, amounts
         # are integers.
@@ -164,7 +172,7 @@ class Objectives:
         """Return the pairs of the given model of a policy, given its pairs (S,) here."""
         if self._quotient is None:
             return pairs
-        return self.finite.lift_pairs(self._quotient, pairs)
+        return self.finite.lift_policy(self._quotient, pairs)
 
     def lift_chances(
         self, pairs: Integers, chances: Mapping[int, Mapping[int, Fraction]]
@@ -261,13 +269,7 @@ def _parse_objective(mdp: MDP, text: str) -> tuple[str, Terms]:
 
 def _combine_terms(mdp: MDP, terms: Terms) -> Column:
     """Return the amounts (L,) of a linear combination, over denominators (L,)."""
-    columns = [(factor, *_read_amounts(mdp, name)) for factor, name in terms]
-    below = np.lcm.reduce([f.denominator * b.astype(object) for f, _, b in columns])
-    added = []
-    for f, t, b in columns:
-        added.append(t.astype(object) * (f.numerator * (below // (b * f.denominator))))
-    top = sum(added)
-    return np.asarray(top), below
+    return combine_columns([(factor, _read_amounts(mdp, name)) for factor, name in terms])
 
 
 def reward_name(mdp: MDP) -> str:

@@ -15,11 +15,10 @@ doubled and rounded up to whole numbers.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from fractions import Fraction
 from math import ceil
-
-import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
@@ -30,7 +29,6 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import make_ones
 from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.objectives.amounts import STOPPED, read_objectives
-from exact_mdp.solvers.objectives.improper import Column
 
 Row = tuple[int, int, list[tuple[Fraction, int, Fraction]]]
 """State, action, and outcomes: probability, next state and reward."""
@@ -45,15 +43,18 @@ def reduce_to_totals(mdp: MDP, texts: Sequence[str]) -> tuple[MDP, tuple[str, ..
     """
     step = mdp.undiscounted
     names, columns = read_objectives(step, texts)
-    base, met = _find_base(step), find_reachable_states(step)
-    times, end = _bound_times(step, base), step.n_states
-    rows = []
-    for pair, state in enumerate(step.pair_state.tolist()):
-        rows.append(_build_row(step, pair, times, base, met=bool(met[state])))
+    met, end = find_reachable_states(step), step.n_states
+    base = _find_base(step, met)
+    times = _bound_times(step, base, met)
+    # The chance 1 / μ of stopping; a state that is not met leads to the base, and earns nothing.
+    stops = [Fraction(int(inside), time) for inside, time in zip(met.tolist(), times, strict=True)]
+    rows = [_build_row(step, pair, times, stops, base) for pair in range(step.n_pairs)]
     rows.append((end, 0, [(Fraction(1), end, Fraction(0))]))
     components = {}
     for name, column in zip(names, columns, strict=True):
-        components[name] = [*_share_amounts(step, column, times, met), Fraction(0)]
+        each = zip(*column, step.pair_state.tolist(), strict=True)
+        amounts = [Fraction(int(top), int(below)) * stops[state] for top, below, state in each]
+        components[name] = [*amounts, Fraction(0)]
     total = MDP.from_outcomes(
         rows,
         start=[Fraction(state == base) for state in range(end + 1)],
@@ -66,37 +67,25 @@ def reduce_to_totals(mdp: MDP, texts: Sequence[str]) -> tuple[MDP, tuple[str, ..
     return total, names
 
 
-def _share_amounts(step: MDP, column: Column, times: Sequence[int], met: Mask) -> list[Fraction]:
-    """Return (L,) amounts over times; 0 in states that no policy reaches."""
-    top, below = column
-    shared = []
-    for pair, state in enumerate(step.pair_state.tolist()):
-        amount = Fraction(0)
-        if met[state]:
-            amount = Fraction(int(top[pair]), int(below[pair])) / times[state]
-        shared.append(amount)
-    return shared
-
-
-def _build_row(step: MDP, pair: int, times: Sequence[int], base: int, *, met: bool) -> Row:
-    """Return state, action and outcomes of a pair; a state that is not met stops at once."""
-    state, end, law = int(step.pair_state[pair]), step.n_states, dict[int, Fraction]()
+def _build_row(
+    step: MDP, pair: int, times: Sequence[int], stops: Sequence[Fraction], base: int
+) -> Row:
+    """Return state, action and outcomes of a pair."""
+    state, law = int(step.pair_state[pair]), defaultdict[int, Fraction](Fraction)
     reward = Fraction(0)
-    if met:
-        for p, following, gain in step.table.row(pair):
-            reward += p * gain / times[state]
-            if following != base:
-                share = p * times[following] / times[state]
-                law[following] = law.get(following, Fraction(0)) + share
-        law[base] = 1 - Fraction(1, times[state]) - sum(law.values())
-    law[end] = 1 - sum(law.values(), Fraction(0))
+    for p, following, gain in step.table.row(pair):
+        reward += p * gain * stops[state]
+        if following != base:
+            law[following] += p * times[following] * stops[state]
+    law[step.n_states] = stops[state]
+    law[base] = 1 - sum(law.values(), Fraction(0))
     outcomes = [(p, following, reward) for following, p in law.items() if p]
     return state, int(step.pair_action[pair]), outcomes
 
 
-def _find_base(step: MDP) -> int:
+def _find_base(step: MDP, met: Mask) -> int:
     """Return a state that every policy visits again and again from the start."""
-    base = PairGraph.of(step).find_base(find_reachable_states(step)[step.pair_state])
+    base = PairGraph.of(step).find_base(met[step.pair_state])
     if base is not None:
         return base
     raise ModelError(
@@ -107,18 +96,13 @@ def _find_base(step: MDP) -> int:
     )
 
 
-def _mark(step: MDP, state: int) -> Mask:
-    marked = np.zeros(step.n_states, dtype=bool)
-    marked[state] = True
-    return marked
-
-
-def _bound_times(step: MDP, base: int) -> list[int]:
+def _bound_times(step: MDP, base: int, met: Mask) -> list[int]:
     """Return (S,) whole numbers, of which each pair but for steps to the base loses 1 or more."""
-    met = find_reachable_states(step)
     table = step.table.with_reward(make_ones(step.n_pairs), make_ones(step.n_pairs))
     # The greatest expected number of steps to the base; elsewhere, and at the base, none.
-    timed = make_terminal(step.maximised.with_(table=table), _mark(step, base) | ~met)
+    elsewhere = ~met
+    elsewhere[base] = True
+    timed = make_terminal(step.maximised.with_(table=table), elsewhere)
     _, (longest,), _ = optimise_exactly(bellman_rows(timed))
     # Twice these are at least 2 + Σ p μ, and rounding up takes at most 1 away.
     times = [max(1, ceil(2 * each)) for each in longest.to_fractions()]

@@ -21,7 +21,7 @@ probability, and else to leave it, would take memory.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 
@@ -31,79 +31,31 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask, PairGraph, find_reachable_states, find_start_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.advice import ways_out, where_endless
-from exact_mdp.mdp.table import Integers, Numbers, to_integer_array
-from exact_mdp.solvers.endless.quotient import (
-    Quotient,
-    build_quotient,
-    extract_components,
-    merge_components,
-)
+from exact_mdp.mdp.table import Numbers, to_integer_array
+from exact_mdp.solvers.endless.improper import ImproperPolicies
+from exact_mdp.solvers.endless.quotient import Quotient, extract_components
 from exact_mdp.solvers.exact.find import best_average
 
 Column = tuple[Numbers, Numbers]
 
 
 @dataclass(frozen=True, eq=False)
-class FiniteTotals:
+class FiniteTotals(ImproperPolicies):
     """Which policies of a model at discount 1 have finite totals, and the model of these.
 
-    Every pair of `ending` earns something if some objective has an amount there. A run has ended in
-    its terminal states; if `given` has a goal, only in the goal.
+    In `mdp` every pair loses something if some objective has an amount there, and missing a goal of
+    the `given` model is worth -∞: the policies with finite totals are those of finite values.
     """
 
     given: MDP
-    ending: MDP
-
-    @cached_property
-    def graph(self) -> PairGraph:
-        """The graph of the pairs."""
-        return PairGraph.of(self.ending)
-
-    @cached_property
-    def ended(self) -> Mask:
-        """(S,) True where a run has ended as it should."""
-        if self.given.goal is None:
-            return self.ending.terminal
-        return self.ending.terminal & self.given.goal
-
-    @cached_property
-    def applies(self) -> bool:
-        """Whether some policy never ends, or ends outside the goal."""
-        ends = self.ending.ends
-        missed = self.given.ends.find_missed(self.ending.terminal)
-        return not ends.every_policy_ends or bool(missed.any())
 
     # ---- the policies that are compared ------------------------------------------------------
 
     @cached_property
-    def _idle(self) -> tuple[Integers, Mask]:
-        """(S,) the end component without amounts of each state, or -1, and (L,) their pairs."""
-        earned, _ = self.ending.table.expected_gain_exact
-        idle = np.asarray(earned == 0, dtype=bool) & ~self.ended[self.ending.pair_state]
-        return self.graph.end_components(idle)
-
-    @cached_property
-    def _sure(self) -> Mask:
-        """(S,) True where some policy surely ends, or stays where nothing is earned."""
-        every, havens = np.ones(self.ending.n_pairs, dtype=bool), self.ended
-        if self.given.goal is None:
-            havens = havens | (self._idle[0] >= 0)
-        return np.asarray(self.graph.compute_rounds(havens, every) == 0)
-
-    @cached_property
-    def _kept(self) -> Mask:
-        """(L,) True for pairs that some policy with finite totals may take."""
-        safe = (self._sure & ~self.ended)[self.ending.pair_state]
-        safe &= self.graph.find_pairs_within(self._sure)
-        reached = find_reachable_states(self.ending, pairs=safe)
-        return np.asarray(safe & reached[self.ending.pair_state])
-
-    @cached_property
-    def _merged(self) -> tuple[Integers, Mask]:
-        """(S,) the merged component of each state, or -1, and (L,) the pairs inside."""
-        component, inside = self._idle
-        inside = inside & self._kept
-        return np.where(self.graph.find_states_with(inside), component, -1), inside
+    def kept(self) -> Mask:
+        """(L,) True for pairs that some policy with finite totals may take from the start."""
+        safe = super().kept
+        return safe & find_reachable_states(self.mdp, pairs=safe)[self.mdp.pair_state]
 
     def apply(self) -> Quotient:
         """Return the model of the policies that are compared; they end in it.
@@ -113,33 +65,22 @@ class FiniteTotals:
         """
         if self.given.ends.missing_pays:
             self._require_goal()
-        lost = np.flatnonzero(find_start_states(self.given) & ~self._sure)
+        lost = np.flatnonzero(find_start_states(self.given) & (self.sign < 0))
         if len(lost):
             raise ModelError(
                 "no policy from the start has finite totals",
                 where=self.given.space.place(int(lost[0])),
                 fix=ways_out(self.given),
             )
-        # Components that are not left are ends, which only a model without a goal has.
-        may_stop = self.given.goal is None
-        pairs, new_state, stops = merge_components(
-            self.graph, self._kept, self._merged, may_stop=may_stop
-        )
-        quotient = build_quotient(self.ending, np.flatnonzero(pairs), new_state, stops=stops)
-        start = dict[int, Fraction]()
+        quotient, start = super().apply(), dict[int, Fraction]()
         for state, share in self.given.start:
             own = int(quotient.new_state[state])
             start[own] = start.get(own, Fraction(0)) + share
-        return Quotient(
-            mdp=quotient.mdp.with_(start=start, sense=self.given.sense),
-            new_state=quotient.new_state,
-            source=quotient.source,
-        )
+        return replace(quotient, mdp=quotient.mdp.with_(start=start, sense=self.given.sense))
 
     def _require_goal(self) -> None:
         """Raise ModelError if a run may miss the goal."""
-        component, _ = self.graph.end_components(~self.ended[self.ending.pair_state])
-        missed = np.flatnonzero(find_reachable_states(self.given) & (component >= 0))
+        missed = np.flatnonzero(find_reachable_states(self.given) & (self.maximal[0] >= 0))
         if len(missed):
             raise ModelError(
                 "a run that misses the goal is worth infinity, which is the best of all here",
@@ -155,36 +96,30 @@ class FiniteTotals:
         Here and below each column is oriented so that more is better.
         """
         # Without a goal a policy may also earn where no policy ends.
-        pairs = self._kept
+        pairs = self.kept
         if self.given.goal is None:
-            reached = find_reachable_states(self.given) & ~self.ended
-            pairs = reached[self.ending.pair_state]
-        if any(_find_gain_sign(self.ending, pairs, column) > 0 for column in columns):
+            reached = find_reachable_states(self.given) & ~self.mdp.terminal
+            pairs = reached[self.mdp.pair_state]
+        if any(_find_gain_sign(self.mdp, pairs, column) > 0 for column in columns):
             raise ModelError(
                 "some policy never ends, and its totals at discount 1 would grow forever",
-                where=where_endless(self.ending),
+                where=where_endless(self.mdp),
                 fix=ways_out(self.given),
             )
 
     def require_loss(self, quotient: Quotient, columns: Sequence[Column]) -> None:
         """Raise ModelError unless policies that do not end in a quotient lose in some total."""
         # No mean is above 0: all are 0 where the mean of their sum is.
-        after = [carry_over(quotient, column) for column in columns]
-        below = np.lcm.reduce([under.astype(object) for _, under in after])
-        total = sum(top.astype(object) * (below // under) for top, under in after)
+        total = combine_columns([(Fraction(1), column) for column in columns])
         live = ~quotient.mdp.terminal[quotient.mdp.pair_state]
-        if _find_gain_sign(quotient.mdp, live, (np.asarray(total), below)) >= 0:
+        if _find_gain_sign(quotient.mdp, live, carry_over(quotient, total)) >= 0:
             raise ModelError(
                 "the totals of a policy that never ends may cancel forever, and have no limit",
-                where=where_endless(self.ending),
+                where=where_endless(self.mdp),
                 fix=ways_out(self.given),
             )
 
     # ---- the way back ------------------------------------------------------------------------
-
-    def lift_pairs(self, quotient: Quotient, chosen: Integers) -> Integers:
-        """Return pairs (S,) of the model, given a pair (S',) of each new state."""
-        return quotient.lift_pairs(self.graph, self._merged, chosen)
 
     def restrict_visits(
         self, quotient: Quotient, visits: Mapping[int, Fraction]
@@ -207,6 +142,15 @@ class FiniteTotals:
             if left[int(mdp.pair_state[pair])]:
                 found[pair] = left[int(mdp.pair_state[pair])]
         return found
+
+
+def combine_columns(terms: Sequence[tuple[Fraction, Column]]) -> Column:
+    """Return a linear combination of amounts (L,), over denominators (L,)."""
+    below = np.lcm.reduce([f.denominator * under.astype(object) for f, (_, under) in terms])
+    added = []
+    for f, (top, under) in terms:
+        added.append(top.astype(object) * (f.numerator * (below // (under * f.denominator))))
+    return np.asarray(sum(added)), below
 
 
 def carry_over(quotient: Quotient, column: Column) -> Column:

@@ -52,7 +52,6 @@ from exact_mdp.solvers.objectives.totals import (
     Point,
     TotalsProof,
     evaluate_objectives,
-    find_extreme_policy,
     flow_under,
     list_proof_fields,
     solve_weighted,
@@ -399,10 +398,7 @@ def _combine_policies(
     # Phase 1 (`short`) minimises the step t; if it reaches 0, phase 2 maximises the return.
     size, short = len(limits), True
     reward = [1] + [0] * (len(of.names) - 1)
-    if of.reduced:  # ties may be broken by more of a limited total, even endlessly
-        policies = [evaluate_objectives(of, solve_weighted(of, reward)[0])]
-    else:
-        policies = [find_extreme_policy(of, reward)]
+    policies = [evaluate_objectives(of, solve_weighted(of, reward)[0])]
     spare = [[ZERO, *row] for row in list_unit_vectors(size, -ONE)]
     bounds = [limit.sign * limit.bound for limit in limits]
     while True:

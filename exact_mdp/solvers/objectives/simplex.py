@@ -35,13 +35,10 @@ def solve_linear_program(
     """
     size, rows = len(columns), len(b)
     # One artificial variable for each row, with the sign of b, so that x = |b| is a first vertex.
-    units = []
+    units = list_unit_vectors(rows, Fraction(1))
     for k in range(rows):
-        unit = [Fraction(0)] * rows
-        unit[k] = Fraction(1)
         if b[k] < 0:
-            unit[k] = Fraction(-1)
-        units.append(unit)
+            units[k][k] = Fraction(-1)
     turned = flint.fmpq_mat([[*map(to_flint, column)] for column in [*columns, *units]])
     matrix, right = turned.transpose(), flint.fmpq_mat([[to_flint(value)] for value in b])
     # Costs are pairs, compared in their order: a part that outweighs any number, and the rest.

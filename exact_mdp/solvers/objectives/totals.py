@@ -115,7 +115,7 @@ def flow_under(
     states = ~of.rows.terminal
     if start is None:
         start = of.mdp.start
-    (level,) = compute_expected_visits(of.rows.of_pairs(pairs), states, start)
+    level = compute_expected_visits(of.rows.of_pairs(pairs), states, start)
     taken = np.flatnonzero(states & (np.array(level.top, dtype=object) != 0))
     visits = Level.from_groups([level.top[s] for s in taken], level.below, level.group[taken])
     return OccupancyMeasure(pairs=pairs[taken], visits=visits)
@@ -137,11 +137,9 @@ def flow_of(of: Objectives, policy: PolicyLike) -> OccupancyMeasure:
 
 def _end_where_nothing_counts(of: Objectives, chain: PolicyChain) -> PolicyChain:
     """Return a chain that ends where it stays and nothing is counted, if its totals are finite."""
-    ended = of.finite.ended
+    ended = of.ending.ends.destination
     if of.given.goal is None:
-        # Events, which no total may count, do not matter.
-        plain = of.ending.with_(table=replace(of.ending.table, event=None), events=())
-        ended = ended | replace(chain, mdp=plain).stays_unrewarded
+        ended = ended | chain.stays_unrewarded
     stays = np.flatnonzero(chain.reached & chain.classes.recurrent & ~ended)
     if len(stays):
         raise ModelError(

@@ -28,7 +28,6 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask, PairGraph
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, make_ones
 from exact_mdp.solvers.bounds.gains import RELATIVE_TOLERANCE, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem, select_rows
@@ -40,9 +39,8 @@ from exact_mdp.solvers.endless.quotient import (
     extract_components,
     stop_in_components,
 )
-from exact_mdp.solvers.robust.game import Game, find_closed_pairs
-from exact_mdp.solvers.robust.sets import Ambiguity, Inner
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.robust.game import Game, RobustModel
+from exact_mdp.solvers.robust.sets import Inner
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,60 +163,32 @@ def _solve_bias(
 
 
 @dataclass(frozen=True, eq=False)
-class RobustAverages:
-    """Average rewards of a model of maximised rewards at discount 1 whose rows nature chooses.
-
-    If `weights` (L,) fix a policy, it is the only one.
-    """
-
-    given: MDP
-    ambiguity: Ambiguity
-    against: bool
-    weights: Floats | None
-
-    @cached_property
-    def _taken(self) -> Mask:
-        """(L,) True for pairs that may be taken."""
-        if self.weights is None:
-            return np.ones(self.given.n_pairs, dtype=bool)
-        return np.asarray(self.weights > 0)
-
-    @cached_property
-    def _graph(self) -> PairGraph:
-        """The graph of the pairs; a policy has one pair for each state."""
-        if self.weights is None:
-            return PairGraph.of(self.given)
-        return PairGraph.of(PolicyChain.of(self.given, self.weights).model)
+class RobustAverages(RobustModel):
+    """Average rewards of a model at discount 1 whose rows nature chooses."""
 
     @cached_property
     def _components(self) -> tuple[Integers, Mask]:
         """(S,) the component of each state, or -1, and (L,) the pairs inside."""
-        graph, closed = self._graph, find_closed_pairs(self.given, self.ambiguity, self.weights)
-        if closed.any():
-            self._require_base(closed)
-            return np.zeros(self.given.n_states, dtype=np.int64), self._taken
-        component, inside = graph.end_components(np.ones(len(graph.pair_state), dtype=bool))
-        if self.weights is not None:
-            inside = self._taken & (component >= 0)[self.given.pair_state]
-        return component, inside
+        every = np.ones(self.mdp.n_pairs, dtype=bool)
+        if self.closed.any():
+            self._require_base()
+            return np.zeros(self.mdp.n_states, dtype=np.int64), self.find_given_pairs(every)
+        component, inside = self.graph.end_components(every)
+        return component, self.find_given_pairs(inside)
 
-    def _require_base(self, closed: Mask) -> None:
+    def _require_base(self) -> None:
         """Raise ModelError unless some state is visited again and again whatever happens.
 
         Of a pair whose set can close one outcome, any single outcome may be left: more than the set
         allows, so that some models are refused that have one gain, and none is wrongly accepted.
         """
-        if self.weights is None:
-            split = self._graph.split_pairs(closed)
-        else:
-            some = np.logical_or.reduceat(closed, self.given.pair_offsets[:-1])
-            split = self._graph.split_pairs(some)
+        split = self.graph.split_pairs(self.closed_of_mdp)
         if split.find_base(np.ones(len(split.pair_state), dtype=bool)) is None:
             raise ModelError(
                 "under some distributions within the sets an outcome is impossible; if they may "
                 "leave any single one, no state is visited again and again whatever they are, so "
                 "that states may differ in gain",
-                where=self.given.where(int(closed.argmax())),
+                where=self.given.where(int(self.closed.argmax())),
                 fix="choose smaller sets that keep every outcome possible",
             )
 
@@ -231,27 +201,21 @@ class RobustAverages:
         """Return bounds on the gains of the components."""
         component, _ = self._components
         number = np.append(component[component >= 0], component.max() + 1)
-        game = self._build_game(self.given, self._inside)
+        game = self.build_game(self._inside)
         found = bound_gains(game, number, tol, max_iterations)
         if found.status is Status.ITERATION_LIMIT:
             detail = f"{2 * found.error:.2g} is the error bound after {max_iterations} iterations"
             raise SolverError(found.status, detail)
         return found
 
-    def _build_game(self, mdp: MDP, part: Quotient | None = None) -> Game:
-        return Game(mdp, self.ambiguity, against=self.against, weights=self.weights, part=part)
-
-    @cached_property
-    def _without_rewards(self) -> MDP:
-        none = np.zeros(self.given.n_pairs, dtype=np.int64)
-        table = self.given.table.with_reward(none, make_ones(self.given.n_pairs))
-        return self.given.with_(table=table)
-
     def apply(self, gains: Gains) -> tuple[Quotient, Game]:
         """Return the model in which each component is a state to stop in, and its game."""
         component, inside = self._components
-        part = stop_in_components(self.given, component, self._taken & ~inside, gains.middle)
-        return part, self._build_game(self._without_rewards, part)
+        outside = self.find_given_pairs(np.ones(self.mdp.n_pairs, dtype=bool)) & ~inside
+        none = np.zeros(self.given.n_pairs, dtype=np.int64)
+        table = self.given.table.with_reward(none, make_ones(len(none)))
+        part = stop_in_components(self.given, component, outside, gains.middle)
+        return part, replace(self, given=self.given.with_(table=table)).build_game(part)
 
     # ---- the way back ------------------------------------------------------------------------
 
@@ -262,14 +226,14 @@ class RobustAverages:
         """
         if self.weights is not None:
             return self.given.pair_offsets[:-1]
-        pairs = part.lift_pairs(self._graph, self._components, chosen)
+        pairs = part.lift_pairs(self.graph, self._components, chosen)
         own = np.zeros(self.given.n_states, dtype=np.int64)
         own[self._components[0] >= 0] = self._inside.source[gains.pairs]
         return np.where((part.source[chosen] < 0)[part.new_state], own, pairs)
 
     def choose_distributions(self, gains: Gains, value: Floats) -> list[Floats]:
         """Return nature's choice in the game of the whole model, given the gain of each state."""
-        game, (_, inside) = self._build_game(self.given), self._components
+        game, (_, inside) = self.build_game(), self._components
         later = copy(game)
         later.rewards = False
         staying = game.solve_inner_problem(gains.bias[self._inside.new_state]).distributions

@@ -8,12 +8,14 @@ run ends, or counts for less and less.
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import Mask, find_reachable_nodes
+from exact_mdp.mdp.graph import Mask, PairGraph, find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, UNIT, Advantages, choose_greedy_pairs
@@ -27,6 +29,7 @@ from exact_mdp.solvers.robust.sets import (
     side_by_side,
     solve_inner_problem,
 )
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 class Game:
@@ -190,15 +193,60 @@ class Game:
         return pairs, value, found
 
 
-def find_closed_pairs(mdp: MDP, ambiguity: Ambiguity, weights: Floats | None) -> Mask:
-    """Return (L,) True for pairs of which nature can make an outcome impossible.
+@dataclass(frozen=True, eq=False)
+class RobustModel:
+    """A model `given` of maximised rewards, whose rows nature chooses against or with the agent.
 
-    Only pairs that a policy takes count, and none of terminal states.
+    `mdp` is this model, or if `weights` (L,) fix a policy, the model without other choices.
     """
-    closed = ~ambiguity.keeps_outcomes(mdp) & ~mdp.terminal[mdp.pair_state]
-    if weights is not None:
-        closed &= weights > 0
-    return np.asarray(closed)
+
+    mdp: MDP
+    given: MDP
+    ambiguity: Ambiguity
+    against: bool
+    weights: Floats | None
+
+    @classmethod
+    def of(cls, given: MDP, ambiguity: Ambiguity, *, against: bool, weights: Floats | None) -> Self:
+        """Return the robust model, of a policy alone if `weights` (L,) give one."""
+        mdp = given
+        if weights is not None:
+            mdp = PolicyChain.of(given, weights).model
+        return cls(mdp, given, ambiguity, against, weights)
+
+    @cached_property
+    def graph(self) -> PairGraph:
+        """The graph of the pairs of `mdp`."""
+        return PairGraph.of(self.mdp)
+
+    @cached_property
+    def closed(self) -> Mask:
+        """(L,) True for pairs of which nature can make an outcome impossible.
+
+        Only pairs that a policy takes count, and none of terminal states.
+        """
+        given = self.given
+        closed = ~self.ambiguity.keeps_outcomes(given) & ~given.terminal[given.pair_state]
+        return np.asarray(closed & self.find_given_pairs(np.ones(self.mdp.n_pairs, dtype=bool)))
+
+    @property
+    def closed_of_mdp(self) -> Mask:
+        """True for the pairs of `mdp` of which nature can make an outcome impossible."""
+        if self.weights is None:
+            return self.closed
+        return np.asarray(np.logical_or.reduceat(self.closed, self.given.pair_offsets[:-1]))
+
+    def find_given_pairs(self, pairs: Mask) -> Mask:
+        """Return (L,) True for the pairs of `given` that some pairs of `mdp` are made of."""
+        if self.weights is None:
+            return pairs
+        return np.asarray((self.weights > 0) & pairs[self.given.pair_state])
+
+    def build_game(self, part: Quotient | None = None) -> Game:
+        """Return the game that is played in the given model, or in a part of it."""
+        return Game(
+            self.given, self.ambiguity, against=self.against, weights=self.weights, part=part
+        )
 
 
 def verify_margins(game: Game) -> tuple[Floats, Floats]:

@@ -32,9 +32,8 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.advice import where_endless
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.endless.improper import ImproperPolicies
@@ -45,39 +44,14 @@ from exact_mdp.solvers.endless.quotient import (
     choose_nearer_pairs,
 )
 from exact_mdp.solvers.robust.average import bound_gains
-from exact_mdp.solvers.robust.game import Game, find_closed_pairs
-from exact_mdp.solvers.robust.sets import Ambiguity
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.robust.game import RobustModel
 
 STEPS = 1000  # of the search for a gain; a few dozen are usual
 
 
 @dataclass(frozen=True, eq=False)
-class RobustImproperPolicies(ImproperPolicies):
-    """The end components of a model of maximised rewards whose rows nature chooses.
-
-    `mdp` is the model `given`, or if `weights` (L,) fix a policy, the model without other choices.
-    """
-
-    given: MDP
-    ambiguity: Ambiguity
-    against: bool
-    weights: Floats | None
-
-    @classmethod
-    def of(
-        cls, given: MDP, ambiguity: Ambiguity, *, against: bool, weights: Floats | None
-    ) -> RobustImproperPolicies:
-        """Return the end components of a model, or of a policy that `weights` (L,) give."""
-        mdp = given
-        if weights is not None:
-            mdp = PolicyChain.of(given, weights).model
-        return cls(mdp, given, ambiguity, against, weights)
-
-    @cached_property
-    def closed(self) -> Mask:
-        """(L,) True for pairs of the given model of which nature can make an outcome impossible."""
-        return find_closed_pairs(self.given, self.ambiguity, self.weights)
+class RobustImproperPolicies(RobustModel, ImproperPolicies):
+    """The end components of a model of maximised rewards whose rows nature chooses."""
 
     def require_applicable(self) -> None:
         """Raise ModelError if nature can close a way, or if gains and losses may cancel."""
@@ -104,12 +78,8 @@ class RobustImproperPolicies(ImproperPolicies):
     @cached_property
     def maximal(self) -> tuple[Integers, Mask]:
         """See `ImproperPolicies.maximal`: of pairs whose outcomes all remain possible."""
-        open_pairs = ~self.closed
-        if self.weights is not None:
-            open_pairs = np.logical_and.reduceat(open_pairs, self.given.pair_offsets[:-1])
-        return self.graph.end_components(
-            open_pairs & ~self.mdp.ends.destination[self.mdp.pair_state]
-        )
+        outside = ~self.mdp.ends.destination[self.mdp.pair_state]
+        return self.graph.end_components(outside & ~self.closed_of_mdp)
 
     @cached_property
     def reward_signs(self) -> tuple[Mask, Mask]:
@@ -161,20 +131,10 @@ class RobustImproperPolicies(ImproperPolicies):
         self, pairs: Mask, new_state: Integers, stops: Sequence[tuple[int, Fraction]] = ()
     ) -> Quotient:
         """Return a model of pairs of the given model, as its rows are what nature chooses."""
-        if self.weights is None:
-            return super().build_part(pairs, new_state, stops)
-        # The model without other choices has one pair for each state, or those that are taken.
-        states = self.graph.find_states_with(pairs)
-        own = np.flatnonzero((self.weights > 0) & states[self.given.pair_state])
+        own = np.flatnonzero(self.find_given_pairs(pairs))
         return build_quotient(self.given, own, new_state, stops=stops)
 
     # ---- gains -------------------------------------------------------------------------------
-
-    def build_game(self, part: Quotient) -> Game:
-        """Return the game that is played in a part of the given model."""
-        return Game(
-            self.given, self.ambiguity, against=self.against, weights=self.weights, part=part
-        )
 
     def _solve_gain(self, own: Quotient) -> tuple[Integers, Integers]:
         """Return the sign of each state's gain, 0 if unclear, and pairs with a gain of this sign.

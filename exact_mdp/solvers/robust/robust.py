@@ -145,7 +145,7 @@ def solve_robust(
     game = Game(mdp, ambiguity, against=against, weights=weights)
     with np.errstate(over="ignore", invalid="ignore"):
         if average:
-            steps = RobustAverages(mdp.undiscounted, ambiguity, against, weights)
+            steps = RobustAverages.of(mdp.undiscounted, ambiguity, against=against, weights=weights)
             found, pairs, distributions = _solve_average(steps, tol, max_iterations)
         elif endless:
             improper = RobustImproperPolicies.of(mdp, ambiguity, against=against, weights=weights)
@@ -266,11 +266,9 @@ def _iterate_values(game: Game, tol: float | None, max_iterations: int) -> _Iter
         asked, here = game.solve_inner_problem(value), value[live]
         share = game.choose_pairs(asked.value)
         doubt = game.bound_rounding(value, asked)
-        # Bounds on T V - V, for the optimum and for the policy that takes these pairs.
-        least = np.minimum(game.back_up_pairs(asked.low), game.average_pairs(share, asked.low))
-        low = least - here - doubt
-        greatest = np.maximum(game.back_up_pairs(asked.high), game.average_pairs(share, asked.high))
-        high = greatest - here + doubt
+        # Bounds on T V - V, from below for the policy that takes these pairs.
+        low = game.average_pairs(share, asked.low) - here - doubt
+        high = game.back_up_pairs(asked.high) - here + doubt
         # NumPy's maximum is NaN if one of the numbers is, as beyond the range of floats.
         error = float(np.max([0.0, (high / margin).max(), -(low / margin).min()])) * SLACK
         # The equations led away from the optimum: go back to a step of value iteration, which

@@ -282,12 +282,10 @@ class PolicyChain:
         graph.sum_duplicates()
         return graph
 
-    @cached_property
+    @property
     def order(self) -> Integers | None:
         """(S,) numbers that fall along every transition; None if the model has cycles."""
-        if self.mdp.terminal.any():
-            return self.mdp.ends.most_steps
-        return None
+        return self.mdp.ends.most_steps
 
     @cached_property
     def reached(self) -> Mask:
@@ -350,16 +348,6 @@ class PolicyChain:
         active = np.bincount(own, acts & inside & ~self.mdp.terminal) > 0
         return np.asarray(inside & ~active[own])
 
-    def require_end(self) -> None:
-        """Raise ModelError, naming where the policy stays, unless every episode ends."""
-        if not self.ends_from_start:
-            trapped = int(np.flatnonzero(self.reached & self.stuck)[0])
-            raise ModelError(
-                "discount 1 needs a policy that ends, and this one may stay forever",
-                where=f"policy, {self.mdp.space.place(trapped)}",
-                fix=ways_out(self.mdp, "take a policy that leaves such states"),
-            )
-
     # ---- equations ---------------------------------------------------------------------------
 
     def build_equations(self, rate: Fraction) -> PolicyEquations:
@@ -411,16 +399,13 @@ class PolicyChain:
 
     def build_bellman_rows(self, rate: Fraction | None = None) -> BellmanRows:
         """Return the equations of the chain in integers, at another discount if one is given."""
-        if self.pure:
-            mdp = self.mdp
-        else:
-            mdp = self.model
+        mdp, pairs = self.mdp, self.pairs
+        if not self.pure:
+            mdp, pairs = self.model, np.arange(self.mdp.n_states)
         if rate not in (None, mdp.discount_exact):
             mdp = mdp.with_(discount=rate)
         # The rows of a model are cached: a pure policy selects among them.
-        if self.pure:
-            return bellman_rows(mdp).of_pairs(self.pairs)
-        return bellman_rows(mdp)
+        return bellman_rows(mdp).of_pairs(pairs)
 
     @cached_property
     def model(self) -> MDP:
@@ -464,10 +449,8 @@ class PolicyChain:
     @cached_property
     def exact_visits(self) -> Level:
         """The expected discounted visits from the start; terminal states count arrivals."""
-        (visits,) = compute_expected_visits(
-            self.build_bellman_rows(), self.reached & ~self.mdp.terminal, self.mdp.start
-        )
-        return visits
+        live = self.reached & ~self.mdp.terminal
+        return compute_expected_visits(self.build_bellman_rows(), live, self.mdp.start)
 
     @cached_property
     def exactly(self) -> ExactChain:
@@ -550,7 +533,7 @@ class PolicyEquations:
             point = BoundedVector(value=value, error=np.where(live, point.error, off * SLACK))
             exact = is_too_inaccurate(point, chain.mdp)
         if exact:
-            (visits,) = compute_expected_visits(self.rows(), live, chain.mdp.start)
+            visits = compute_expected_visits(self.rows(), live, chain.mdp.start)
             point = round_fractions(visits.to_fractions())
         # Visits cannot be negative; clip rounding errors at 0.
         return BoundedVector(value=np.maximum(point.value, 0.0), error=point.error)

@@ -1,6 +1,7 @@
 """The reduction of improper policies, against exact values: signs, merged states, the way back."""
 
 from collections.abc import Iterator
+from fractions import Fraction as F
 from math import inf
 
 import numpy as np
@@ -64,6 +65,20 @@ def test_states_that_reach_each_other_for_nothing_become_one() -> None:
     assert rows_of(goal.mdp) == [
         (0, 0, 5, {1: 1}),
         (1, 0, -7, {2: 1}),
+        (2, 0, 0, {2: 1}),
+    ]
+
+
+def test_components_that_are_left_become_states_and_others_the_end() -> None:
+    """0 and 1 are a component that is left, and 2 is one that is not; 3 is in none."""
+    rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 0, 0)]), (1, 1, [("1/2", 2, -2), ("1/2", 3, -2)])]
+    rows += [(2, 0, [(1, 4, 0)]), (4, 0, [(1, 2, 0)]), (3, 0, [(1, 0, -7)])]
+    whole = ImproperPolicies(MDP.from_outcomes(rows, 1)).apply()
+    assert whole.new_state.tolist() == [0, 0, 2, 1, 2]
+    assert rows_of(whole.mdp) == [
+        (0, 0, -2, {1: F(1, 2), 2: F(1, 2)}),
+        (0, 1, 0, {2: 1}),
+        (1, 0, -7, {0: 1}),
         (2, 0, 0, {2: 1}),
     ]
 

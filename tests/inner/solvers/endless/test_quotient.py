@@ -12,7 +12,6 @@ from exact_mdp.solvers.endless.quotient import (
     choose_first_pairs,
     choose_nearer_pairs,
     extract_components,
-    merge_components,
     of_pairs,
     stop_in_components,
 )
@@ -48,23 +47,6 @@ def test_merged_states_share_their_pairs() -> None:
         (2, 0, F(0), {2: F(1)}),
     ]
     assert free.source.tolist() == [2, -1, 4, 5]
-
-
-def test_components_become_states_and_those_that_are_not_left_the_end() -> None:
-    """0 and 1 are a component that is left, and 2 is one that is not; 3 is in none."""
-    graph, kept = PairGraph.of(MODEL), np.ones(5, dtype=bool)
-    merged = np.array([1, 1, 0, -1]), np.array([True, True, False, True, False])
-    for may_stop, stops in ((True, [(0, F(0))]), (False, [])):
-        pairs, new_state, found = merge_components(graph, kept, merged, may_stop=may_stop)
-        assert pairs.tolist() == [False, False, True, False, True]
-        assert new_state.tolist() == [0, 0, -1, 1]
-        assert found == stops
-    kept[4] = False
-    pairs, new_state, found = merge_components(graph, kept, merged, may_stop=True)
-    assert (pairs.tolist(), new_state.tolist()) == (
-        [False, False, True, False, False],
-        [0, 0, -1, -1],
-    )
 
 
 def test_components_are_a_model_of_their_own() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from exact_mdp import ModelError
+from exact_mdp.mdp.io.parts import write_object
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.checker import Unreadable
@@ -148,7 +149,7 @@ KINDS: dict[str, type[Proof]] = {"test": Proof, "other": Proof}
 
 def test_a_file_has_a_line_for_each_field(tmp_path: Path) -> None:
     path = tmp_path / "proof.json"
-    codec.save_proof(proof(), path)
+    write_object(path, codec.build_file_content(proof()))
     text = path.read_text("utf-8")
     assert json.loads(text) == build_file_content(proof())
     lines = text.splitlines()
@@ -163,7 +164,7 @@ def test_a_file_has_a_line_for_each_field(tmp_path: Path) -> None:
 
 def test_the_size_of_a_file_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "proof.json"
-    codec.save_proof(proof(), path)
+    write_object(path, codec.build_file_content(proof()))
     size = path.stat().st_size
     monkeypatch.setattr(codec, "LARGEST", size)
     assert codec.load_proof(KINDS, path).kind == "test"

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction as F
 from math import gcd
-from typing import Any
 
 import numpy as np
 import pytest
@@ -201,26 +200,7 @@ def test_signs_are_integers_of_what_is_gained() -> None:
     assert (found.tolist(), found.dtype) == ([1, 0, -1], np.int64)
 
 
-def test_pairs_of_a_state_that_are_alike_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    half = [("1/2", 1, 3), ("1/2", 0, 3)]
-    rows = [*((0, a, half) for a in (0, 1, 3)), (0, 2, [(1, 1, 3)]), (0, 4, [(1, 1, 2)])]
-    equations = bellman_rows(MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], "1/2"))
-    (step,) = list_level_steps(equations, Level.of([F(2, 3), F(1, 7)]))
-    asked, over_one = list[Any](), Level.over_one
-
-    def counted(level: Level, *given: Any) -> Any:
-        asked.append(given)
-        return over_one(level, *given)
-
-    monkeypatch.setattr(Level, "over_one", counted)
-    found = [F(top, a * b) for top, a, b in yield_level_advantages(equations, step)]
-    like = 3 + (F(2, 3) + F(1, 7)) / 4 - F(2, 3)
-    one, other = (r + F(1, 14) - F(2, 3) for r in (3, 2))
-    assert found == [like, like, one, like, other, F(1, 14) - F(1, 7)]
-    assert len(asked) == 4
-
-
-def test_pairs_whose_rewards_differ_in_their_denominators_are_not_alike() -> None:
+def test_advantages_count_the_denominators_of_rewards() -> None:
     equations = bellman_rows(MDP.from_outcomes([(0, a, [(1, 0, 1)]) for a in range(4)]))
     step = Level.of([F(0)]), [1, 1, 1, 1], [1, 1, 2, 3]
     found = [F(top, a * b) for top, a, b in yield_level_advantages(equations, step)]

@@ -8,7 +8,7 @@ import pytest
 
 from exact_mdp import MDP, Intervals
 from exact_mdp.solvers.endless.quotient import build_quotient
-from exact_mdp.solvers.robust.game import Game, find_closed_pairs, verify_margins
+from exact_mdp.solvers.robust.game import Game, RobustModel, verify_margins
 
 SHARE = 0.3
 
@@ -118,9 +118,12 @@ def test_a_policy_stops_where_a_part_can() -> None:
 def test_nature_closes_ways_whose_chance_may_be_nothing() -> None:
     mdp = ending(0)
     open_sets, closed = Intervals.relative(mdp, SHARE), Intervals.relative(mdp, 1)
-    assert not find_closed_pairs(mdp, open_sets, None).any()
+    assert not RobustModel.of(mdp, open_sets, against=True, weights=None).closed.any()
     several = np.diff(mdp.table.offsets) > 1
-    assert find_closed_pairs(mdp, closed, None).tolist() == several.tolist()
+    model = RobustModel.of(mdp, closed, against=True, weights=None)
+    assert model.closed.tolist() == model.closed_of_mdp.tolist() == several.tolist()
     taken = np.array([1.0, 0, 0.5, 0.5, 0, 1, 1])
     wanted = several & (taken > 0)
-    assert find_closed_pairs(mdp, closed, taken).tolist() == wanted.tolist()
+    model = RobustModel.of(mdp, closed, against=True, weights=taken)
+    assert model.closed.tolist() == wanted.tolist()
+    assert model.closed_of_mdp.tolist() == [True, True, True, False]
