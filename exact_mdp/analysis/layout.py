@@ -14,18 +14,20 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite, prod
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.gate.reasons import format_alternatives
+from exact_mdp.analysis.gate.criteria import format_alternatives
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import Floats, Integers
+
+if TYPE_CHECKING:
+    from exact_mdp.analysis.gate.audit import Audit
 
 MOST_CELLS = 4000  # that a picture has room for
 MOST_NAMED = 40  # states that a picture names one by one

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.errors import require_known_name
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import state_names
+from exact_mdp.mdp.questions.advice import other_question, ways_out
 from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table, format_ratio
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags

@@ -22,8 +22,8 @@ from exact_mdp.mdp.components import each_component, named_components, require_l
 from exact_mdp.mdp.errors import ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.columns import table_of
-from exact_mdp.mdp.forms.names import name_things
-from exact_mdp.mdp.forms.numbering import OutcomeColumns, action_names
+from exact_mdp.mdp.forms.listed import OutcomeColumns
+from exact_mdp.mdp.forms.names import action_names, name_things
 from exact_mdp.mdp.forms.numbers import (
     array_of,
     as_given,

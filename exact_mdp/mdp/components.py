@@ -30,6 +30,7 @@ from exact_mdp.mdp.table import (
     Numbers,
     OutcomeTable,
     divide,
+    hold_same_numbers,
     make_ones,
     multiply,
     over_groups,
@@ -282,7 +283,7 @@ def with_outcome_amounts(table: OutcomeTable, amounts: Mapping[str, Any]) -> Out
 def _by_pair_if_alike(values: Numbers, table: OutcomeTable) -> tuple[Numbers, Numbers]:
     """Return numerators and denominators of amounts (N,); by pair, if its outcomes agree."""
     of_pair = values[table.offsets[:-1]]
-    if np.asarray(values == of_pair[table.pair], dtype=bool).all():
+    if hold_same_numbers(values, of_pair[table.pair]):
         return group_numbers(of_pair, np.arange(table.pairs + 1))
     return group_numbers(values, table.offsets)
 

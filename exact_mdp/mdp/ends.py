@@ -28,10 +28,10 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.graph import (
     Backward,
     Mask,
+    PairGraph,
     find_least_successors,
     find_start_states,
     rank_acyclic_states,

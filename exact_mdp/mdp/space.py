@@ -317,3 +317,21 @@ class StateSpace:
                 fix="give one label for each state, or none",
             )
         return cls(columns=(Column(name="state", size=size, words=words),))
+
+
+def find_table_space(space: StateSpace, rows: int, forced: NDArray[np.bool_]) -> StateSpace | None:
+    """Return the states that a table with `rows` rows is over; None if no states fit.
+
+    These are all states; or all without some of the extra states, if these have no choice, which is
+    True in `forced` (S,); or the states without the time, if that is the first column.
+    """
+    if rows == space.size:
+        return space
+    if space.untimed is not None:
+        for untimed in (space.untimed, StateSpace(columns=space.untimed.columns)):
+            if rows == untimed.size:
+                return untimed
+        return None
+    if not space.regular <= rows < space.size or not forced[space.regular :].all():
+        return None
+    return StateSpace(columns=space.columns, extra=space.extra[: rows - space.regular])

@@ -599,6 +599,32 @@ def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers,
     return to_integer_array(tops), to_integer_array(bottoms)
 
 
+def find_distinct(values: Sequence[Any]) -> tuple[list[Any], Integers]:
+    """Return the different objects among values (N,), and the place (N,) of each value's object.
+
+    Objects are told apart by where they are in memory, without comparing them.
+    """
+    distinct = dict(zip(map(id, values), values, strict=True))
+    number = {place: count for count, place in enumerate(distinct)}
+    copies = np.fromiter((number[id(value)] for value in values), np.int64, len(values))
+    return list(distinct.values()), copies
+
+
+def find_nonzero(values: Numbers) -> NDArray[np.bool_]:
+    """Return (N,) True for numbers that are not 0."""
+    if values.dtype != object:
+        return np.asarray(values != 0, dtype=bool)
+    distinct, copies = find_distinct(values.tolist())
+    return np.array([bool(number) for number in distinct], dtype=bool)[copies]
+
+
+def hold_same_numbers(left: Numbers, right: Numbers) -> bool:
+    """Return whether two arrays of one shape hold equal numbers."""
+    if object in (left.dtype, right.dtype):
+        return bool(left.tolist() == right.tolist())  # lists compare no object with itself
+    return bool((left == right).all())
+
+
 def to_integer_array(values: Iterable[int]) -> Numbers:
     """Return an array of 64-bit integers if they all fit, else of Python integers."""
     listed = list(values)

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from exact_mdp import ModelError
-from exact_mdp.paper_repro.compiled import list_optimal_actions
+from exact_mdp.paper_repro.compiled import compute_costs, list_optimal_actions
 from exact_mdp.paper_repro.paper import ACTIONS, ANGRY, FINAL, OPEN
-from exact_mdp.paper_repro.section_4_1_policies import cost_of_each
 from exact_mdp.paper_repro.silent_points import Reading
 
 
@@ -45,7 +44,7 @@ SITUATIONS = (
 
 def advise(reading: Reading, others: Sequence[Reading]) -> list[dict[str, Any]]:
     """Return the best assistance of each situation, what others lose, and how sure that is."""
-    lost, paper = cost_of_each(reading), reading.find_reported_policy(FINAL)
+    lost, paper = compute_costs(reading), reading.find_reported_policy(FINAL)
     # The order of "respectively" belongs to the reported policy: one model counts once.
     models: dict[tuple[Any, ...], Reading] = {}
     for each in (reading, *others):

@@ -10,8 +10,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp import MDP
-from exact_mdp.paper_repro.paper import ACTIONS, BITS
+from exact_mdp import MDP, Policy, evaluate
+from exact_mdp.paper_repro.paper import ACTIONS, BITS, STATUSES
 from exact_mdp.paper_repro.silent_points import Reading
 
 
@@ -62,6 +62,18 @@ def compute_losses(reading: Reading, status: str, action: int) -> list[Fraction]
     mdp, losses = reading.mdp, reading.certificate.losses[-1]
     here = (mdp.space.values("status") == int(status, 2)) & ~mdp.forced & ~mdp.terminal
     return [losses[mdp.pair(state, action)] for state in np.flatnonzero(here).tolist()]
+
+
+def compute_costs(reading: Reading) -> np.ndarray:
+    """Return the loss (16, 4) at the start of an action in a status, all else being optimal."""
+    mdp, best = reading.mdp, reading.evaluate_policy("optimal").mean
+    status, free = mdp.space.values("status"), ~mdp.forced & ~mdp.terminal
+    lost = np.zeros((len(STATUSES), len(ACTIONS)))
+    for vector, action in np.ndindex(lost.shape):
+        if any(compute_losses(reading, STATUSES[vector], action)):  # exactly 0 where it is optimal
+            other = np.where(free & (status == vector), action, reading.optimum)
+            lost[vector, action] = best - evaluate(mdp, Policy.of(mdp, other)).mean
+    return lost
 
 
 def list_optimal_actions(reading: Reading, status: str) -> list[set[str]]:

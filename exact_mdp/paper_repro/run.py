@@ -44,12 +44,13 @@ from exact_mdp.paper_repro.claim import (
     judge_claims,
 )
 from exact_mdp.paper_repro.drawing import FIGURES, save_figure
-from exact_mdp.paper_repro.learner import SEED, change_settings
 from exact_mdp.paper_repro.paper import AVERAGES, FINAL, OPEN, ORDERS, write_file
 from exact_mdp.paper_repro.readme import format_exact, format_paper_number, render_readme
 from exact_mdp.paper_repro.silent_points import (
+    SEED,
     Reading,
     build_default_reading,
+    change_settings,
     compute_support,
     describe_readings,
     one_change,

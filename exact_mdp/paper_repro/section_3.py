@@ -11,7 +11,6 @@ import numpy as np
 from exact_mdp import Certified
 from exact_mdp.analysis.learning.curves import EXPERIMENTS as EXPERIMENTS_OF_A_POINT
 from exact_mdp.analysis.learning.outcomes import CANDIDATES
-from exact_mdp.paper_repro import learner
 from exact_mdp.paper_repro.claim import Finding, compare_entries, judge_statement, register_claim
 from exact_mdp.paper_repro.compiled import (
     derive_weights,
@@ -19,7 +18,7 @@ from exact_mdp.paper_repro.compiled import (
     list_rewards,
 )
 from exact_mdp.paper_repro.paper import ACTIONS, BITS, SETTINGS, STATUSES, TABLE_4
-from exact_mdp.paper_repro.silent_points import Reading
+from exact_mdp.paper_repro.silent_points import Reading, change_settings
 
 CHARGED = ("forget", "confuse", "anger", "disengaged")  # the weight of each status, in order
 
@@ -127,7 +126,7 @@ def training_settings(reading: Reading) -> Finding:
     policy is that of its 10th episode, a point of a curve is the average of 40 experiments, and the
     final policy is chosen among the five suggested most often.
     """
-    code = learner.change_settings("constant", reading.training)
+    code = change_settings("constant", reading.training)
     settings = {
         "rate": code.rate.values(1)[0],
         "discount": code.discount,
@@ -145,7 +144,7 @@ def training_settings(reading: Reading) -> Finding:
 @register_claim("equation2", "Equation 2", kind="input")
 def equation_2(reading: Reading) -> Finding:
     """The decaying ε is 1 at epoch 0 and 0.8 at epoch 300, and comes down to 0.03."""
-    code = learner.change_settings("decaying", reading.training)
+    code = change_settings("decaying", reading.training)
     values, far = code.exploration.values(code.epochs), code.exploration.values(100_000)[-1]
     wanted = {int(epoch): float(value) for epoch, value in SETTINGS["epsilon_at"].items()}
     least = float(Fraction(SETTINGS["epsilon_minimum"]))

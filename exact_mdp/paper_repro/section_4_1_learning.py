@@ -33,7 +33,6 @@ from exact_mdp.paper_repro.claim import (
 )
 from exact_mdp.paper_repro.compiled import list_optimal_actions
 from exact_mdp.paper_repro.drawing import BLUE, FILLS, GREEN, RED, register_figure
-from exact_mdp.paper_repro.learner import CONVERGED, CURVES, SHOWN, spawn_seed
 from exact_mdp.paper_repro.paper import (
     ACTIONS,
     ANGRY,
@@ -43,7 +42,7 @@ from exact_mdp.paper_repro.paper import (
     STATUSES,
     has_stated_actions,
 )
-from exact_mdp.paper_repro.silent_points import Reading
+from exact_mdp.paper_repro.silent_points import CONVERGED, CURVES, SHOWN, Reading, spawn_seed
 from exact_mdp.solvers.learning.q_learning import QLearning
 
 if TYPE_CHECKING:

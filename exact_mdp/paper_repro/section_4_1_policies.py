@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp import Certified, Estimated, Policy, check, evaluate, return_distribution
+from exact_mdp import Certified, Estimated, check, return_distribution
 from exact_mdp.paper_repro import drawing
 from exact_mdp.paper_repro.claim import (
     CHANCE,
@@ -31,7 +31,7 @@ from exact_mdp.paper_repro.claim import (
     judge_undecided,
     register_claim,
 )
-from exact_mdp.paper_repro.compiled import compute_losses, list_optimal_actions
+from exact_mdp.paper_repro.compiled import compute_costs, list_optimal_actions
 from exact_mdp.paper_repro.drawing import BLUE, register_figure
 from exact_mdp.paper_repro.paper import (
     ACTIONS,
@@ -360,7 +360,7 @@ def cost_of_choices(reading: Reading) -> Figure:
     """
     from matplotlib.patches import Rectangle
 
-    lost, policy = cost_of_each(reading), reading.find_reported_policy(FINAL)
+    lost, policy = compute_costs(reading), reading.find_reported_policy(FINAL)
     fig, ax = drawing.create_axes(6.6, 5.8)
     shade = 1 - 0.75 * np.sqrt(lost / lost.max())
     for row, column in np.ndindex(lost.shape):
@@ -387,15 +387,3 @@ def cost_of_choices(reading: Reading) -> Figure:
     ax.spines[:].set_visible(False)
     ax.set_xlabel("● action of the paper's final policy, as written", loc="left")
     return fig
-
-
-def cost_of_each(reading: Reading) -> np.ndarray:
-    """Return the loss (16, 4) at the start of an action in a status, all else being optimal."""
-    mdp, best = reading.mdp, reading.evaluate_policy("optimal").mean
-    status, free = mdp.space.values("status"), ~mdp.forced & ~mdp.terminal
-    lost = np.zeros((len(STATUSES), len(ACTIONS)))
-    for vector, action in np.ndindex(lost.shape):
-        if any(compute_losses(reading, STATUSES[vector], action)):  # exactly 0 where it is optimal
-            other = np.where(free & (status == vector), action, reading.optimum)
-            lost[vector, action] = best - evaluate(mdp, Policy.of(mdp, other)).mean
-    return lost

@@ -27,8 +27,7 @@ from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError, require_type
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, read_text, write_atomically
-from exact_mdp.mdp.io.npz import read_arrays
-from exact_mdp.mdp.io.structured import json_of
+from exact_mdp.mdp.io.structured import json_of, read_arrays
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import require_count
 

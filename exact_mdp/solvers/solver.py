@@ -1,4 +1,4 @@
-"""The function `solve`, and the list of solvers.
+"""The function `solve`: totals, averages and limits, each by its own solver.
 
 A solver is an object with a `name` and a method `solve(model)`; `solvers.dynamic` says how to add
 one.
@@ -7,12 +7,11 @@ one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.arguments import (
@@ -23,29 +22,19 @@ from exact_mdp.solvers.arguments import (
 )
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
-from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (
-    BackwardInduction,
-    GaussSeidel,
-    ModifiedPolicyIteration,
     PolicyIteration,
-    ValueIteration,
 )
-from exact_mdp.solvers.dynamic.start import orient_start
 from exact_mdp.solvers.endless.average import solve_average
-from exact_mdp.solvers.endless.total import round_exact_solution, solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
 from exact_mdp.solvers.solution import Solution, answer_maximised
-from exact_mdp.solvers.ties import break_near_ties
-
-SOLVERS: dict[str, type[Solver]] = {
-    "value-iteration": ValueIteration,
-    "gauss-seidel": GaussSeidel,
-    "modified-policy-iteration": ModifiedPolicyIteration,
-    "policy-iteration": PolicyIteration,
-    "backward-induction": BackwardInduction,
-    "linear-program": LinearProgram,
-}
+from exact_mdp.solvers.total import SOLVERS as SOLVERS
+from exact_mdp.solvers.total import (
+    configure_solver,
+    mark_if_imprecise,
+    round_exact_solution,
+    solve_total,
+)
 
 
 @named_options
@@ -136,53 +125,28 @@ def solve(
             return solve_under(mdp, subject_to, average=True)
         check_tolerance("solve", tol)
         solution = _find_best_average(mdp, solver, tol, start)
-    else:
-        if horizon is not None:
-            mdp = mdp.within(horizon, terminal_value=terminal_value)
-        if subject_to is not None:
-            return solve_under(mdp, subject_to)
-        start = orient_start(mdp, start)
-        find_best = partial(_maximise_total, solver=solver, tol=tol, start=start)
-        solution = answer_maximised(mdp, find_best)
-    if solution.status is Status.PRECISION:
-        warn_of_precision(solution.error_bound, stacklevel=3)  # `named_options` is in between
-    return solution
+        if solution.status is Status.PRECISION:
+            warn_of_precision(solution.error_bound, stacklevel=3)  # `named_options` is in between
+        return solution
+    if horizon is not None:
+        mdp = mdp.within(horizon, terminal_value=terminal_value)
+    if subject_to is not None:
+        return solve_under(mdp, subject_to)
+    return solve_total(mdp, solver, tol, start)
 
 
 def _find_best_average(mdp: MDP, solver: Any, tol: float | None, start: Any) -> Solution:
     """Return the solution for the average reward; floats fail if a chain mixes too slowly."""
     chosen: Solver = PolicyIteration()
     if solver != "auto":
-        chosen = _configure_solver(solver, tol=tol)
+        chosen = configure_solver(solver, tol=tol)
     try:
-        solution: Solution = solve_average(mdp, _configure_solver(chosen, start=start))
+        solution: Solution = solve_average(mdp, configure_solver(chosen, start=start))
     except SolverError:
         if solver != "auto" or mdp.n_transitions > COMPILED:
             raise
         solution = answer_maximised(mdp, partial(round_exact_solution, criterion="average"))
-    return _mark_if_imprecise(solution, tol)
-
-
-def _maximise_total(mdp: MDP, solver: Any, tol: float | None, start: Any = None) -> Solution:
-    """Return the solution of a model of maximised rewards."""
-    if mdp.ends.has_improper_policy:
-        return solve_total(mdp, partial(_maximise_total, solver=solver, tol=tol))
-    if solver == "auto" and mdp.ends.is_acyclic:
-        check_tolerance("solve", tol)
-        solution = _mark_if_imprecise(BackwardInduction().solve_rewards(mdp), tol)
-    else:
-        if solver == "auto":
-            solver = ModifiedPolicyIteration()
-        solution = _run_solver(_configure_solver(solver, tol=tol, start=start), mdp)
-    return break_near_ties(solution)
-
-
-def _run_solver(solver: Any, mdp: MDP) -> Solution:
-    """Return the solution of a model of rewards, by a solver of the toolkit or a user's own."""
-    if isinstance(solver, Solver):
-        return solver.solve_rewards(mdp)  # without a warning: `solve` gives it
-    solution: Solution = solver.solve(mdp)
-    return solution
+    return mark_if_imprecise(solution, tol)
 
 
 def _check_fit(
@@ -208,40 +172,3 @@ def _check_fit(
             where="terminal_value",
             fix="give a horizon, too",
         )
-
-
-def _configure_solver(solver: Any, **settings: Any) -> Solver:
-    """Return a solver, given as an object or by name, with the settings given to `solve`."""
-    if isinstance(solver, str):
-        solver = SOLVERS[require_known_name(solver, [*SOLVERS, "auto"], "solver", "solve")]()
-    if isinstance(solver, type):
-        name = solver.__name__
-        raise ModelError(f"{name} is a class", where="solve", fix=f"write {name}()")
-    if not callable(getattr(solver, "solve", None)):
-        raise ModelError(
-            f"{solver!r} is not a solver",
-            where="solve",
-            fix="give a name, or PolicyIteration(); a tolerance is tol=: solve(model, tol=1e-6)",
-        )
-    # A setting that the solver does not have is refused, with the solvers that have it.
-    why = {"tol": "its error is what rounding leaves", "start": "nothing known shortens it"}
-    given = {name: value for name, value in settings.items() if value is not None}
-    for name in given:
-        if name not in getattr(type(solver), "__dataclass_fields__", {}):
-            takers = [key for key, kind in SOLVERS.items() if hasattr(kind, name)]
-            raise ModelError(
-                f"{solver.name} takes no {name}: {why[name]}",
-                where="solve",
-                fix=f"leave {name} out, or choose {', '.join(takers)}",
-            )
-    chosen: Solver = solver
-    if given:
-        chosen = replace(solver, **given)
-    return chosen
-
-
-def _mark_if_imprecise(solution: Solution, tol: float | None) -> Solution:
-    """Return a direct solution; its status becomes PRECISION if its error bound exceeds `tol`."""
-    if tol is None or solution.error_bound <= tol:
-        return solution
-    return replace(solution, status=Status.PRECISION)

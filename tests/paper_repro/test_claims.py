@@ -25,7 +25,7 @@ from exact_mdp.paper_repro.claim import (
     judge_by_runs,
     judge_claims,
 )
-from exact_mdp.paper_repro.compiled import compute_losses, derive_weights
+from exact_mdp.paper_repro.compiled import compute_costs, compute_losses, derive_weights
 from exact_mdp.paper_repro.paper import (
     ANGRY,
     AVERAGES,
@@ -40,7 +40,7 @@ from exact_mdp.paper_repro.paper import (
 )
 from exact_mdp.paper_repro.section_2 import trial_flow
 from exact_mdp.paper_repro.section_4_1_learning import error_of_pairs
-from exact_mdp.paper_repro.section_4_1_policies import cost_of_each, probability_of_ranking
+from exact_mdp.paper_repro.section_4_1_policies import probability_of_ranking
 from exact_mdp.paper_repro.silent_points import (
     Reading,
     build_default_reading,
@@ -409,7 +409,7 @@ def test_changes_that_make_no_sense_are_refused(change: str) -> None:
 def test_costs_of_choices_are_those_of_single_changes(reading: Reading, oracle: Oracle) -> None:
     best = oracle.value(oracle.start)
     chosen = {s: ACTIONS[a] for s, a in zip(STATUSES, reading.optimum[:16], strict=True)}
-    cost = cost_of_each(reading)
+    cost = compute_costs(reading)
     assert (cost.min(axis=1) == 0).all()
     for status, action in (("0000", "none"), ("0100", "non-directive"), ("0001", "directive")):
         other = oracle.evaluate(acting({**chosen, status: action}), distribution=False)["mean"]

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import exact_mdp
 from exact_mdp.analysis import ci
@@ -21,11 +21,13 @@ from exact_mdp.analysis.cli.words import (
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.layout import MOST_CELLS, arrange, build_cells
-from exact_mdp.analysis.learning.trainers import TrainerAudit
 from exact_mdp.analysis.pages import ADVICE, render_page
 from exact_mdp.mdp.errors import require_known_name
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.report import Report, Shown
+
+if TYPE_CHECKING:
+    from exact_mdp.analysis.learning.trainers import TrainerAudit
 
 AT_THE_TOP = ("passed", "checks")  # of the page
 

@@ -80,7 +80,7 @@ def solve_command(
         Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward,
         steps, an event, or a sum such as 2*a-b. Exact.
     method : NAME
-        {solvers.solver:SOLVERS}, or the one that suits the model.
+        {solvers.total:SOLVERS}, or the one that suits the model.
     tol : X, optional
         Greatest absolute error of a value.
     certificate : FILE, .json

@@ -11,17 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.criteria import Total, Verdict, format_claimed_number
-from exact_mdp.analysis.gate.data.interval import RegretInterval
-from exact_mdp.analysis.gate.proof import certify_regret
-from exact_mdp.analysis.gate.reasons import (
+from exact_mdp.analysis.gate.criteria import (
     Disagreement,
     Findings,
-    QError,
-    Representation,
+    Total,
+    Verdict,
     format_alternatives,
-    q_error,
+    format_claimed_number,
 )
+from exact_mdp.analysis.gate.data.interval import RegretInterval
+from exact_mdp.analysis.gate.reasons import QError, Representation, q_error
 from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -35,7 +34,7 @@ from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.claims import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.exact.certificate import Contradiction, require_sound_proof
-from exact_mdp.solvers.exact.regret import RegretCertificate
+from exact_mdp.solvers.exact.regret import RegretCertificate, certify_regret
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 UNEXPLAINED = "not known: whether another policy that sees no more of the state could do better"

@@ -121,18 +121,13 @@ def charge_class_losses(
     return np.where(blamed, whole[label] / np.maximum(number[label], 1), 0.0)
 
 
-def chain_of_pairs(mdp: MDP, pairs: Integers) -> PolicyChain:
-    """Return the chain of the deterministic policy that takes these pairs (S,)."""
-    return PolicyChain(mdp=mdp, chosen=np.bincount(pairs, minlength=mdp.n_pairs).astype(float))
-
-
 def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
     """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
     pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
     # Every optimal pair attains the value if all policies end.
     if not mdp.ends.has_improper_policy or len(pairs) < 2:
         return pairs
-    sign, stays = best.infinite_sign, chain_of_pairs(mdp, best.pairs).classes.recurrent
+    sign, stays = best.infinite_sign, PolicyChain.of_pairs(mdp, best.pairs).classes.recurrent
     if sign[state] > 0:
         return [pair for pair in pairs if pair == best.pairs[state] or _earns_forever(mdp, pair)]
     if stays[state] or sign[state] < 0:

@@ -1,6 +1,11 @@
 """The criteria of an audit: the total reward, the reward per step, and the total under limits.
 
-A policy loses reward per step in transient states that lead to a smaller gain, and in recurrent
+Each finds the regret of a policy π, and the states in which it arises. Those of a total cost
+
+    cost(s) = d(s) gap(s, π(s)),    d the policy's discounted visits from the start,
+
+and costs sum to the regret; if a policy stays forever, see `analysis.gate.class_losses`. A policy
+loses reward per step in transient states that lead to a smaller gain, and in recurrent
 states in which it earns less:
 
     g* - g = Σ d(s) (g*(s) - E g*(s')) + Σ μ(s) (g*(s) - r + h*(s) - E h*(s'))
@@ -17,7 +22,7 @@ names the states; the last term is the value of the slack that the policy leaves
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
@@ -26,9 +31,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.gate.class_losses import chain_of_pairs
+from exact_mdp.analysis.gate.class_losses import (
+    charge_class_losses,
+    final_class,
+    find_attaining_pairs,
+)
 from exact_mdp.analysis.gate.forgiveness import per_use, round_finite_values
-from exact_mdp.analysis.gate.reasons import Findings, find_policy_disagreements, list_disagreements
 from exact_mdp.analysis.gate.regret import (
     LAST_CYCLE,
     Regret,
@@ -37,19 +45,20 @@ from exact_mdp.analysis.gate.regret import (
     is_cheap_to_certify,
     policy_regret,
 )
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import FEW_NAMED, ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, format_cell
-from exact_mdp.mdp.table import Floats, to_common_denominator, to_integer_array
+from exact_mdp.mdp.table import Floats, Integers, to_common_denominator, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.claims import Bounded, Certified
+from exact_mdp.solvers.claims import Bounded, Certified, SolverError
 from exact_mdp.solvers.exact.certificate import Certificate, require_sound_proof
 from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
+from exact_mdp.solvers.objectives.totals import flow_of
 from exact_mdp.solvers.solution import answer_maximised
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
-from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True)
@@ -192,7 +201,7 @@ class Average(Total):
             # A pair is a near tie if rounding in its row and in the best row may cause its gap.
             most = _per_use(chain, best)
             near = gap * SLACK <= most + most[best.pairs][step.pair_state]
-            ideal = chain_of_pairs(step, best.pairs)
+            ideal = PolicyChain.of_pairs(step, best.pairs)
             moved = _compute_gain_allowance(ideal, best) + _compute_gain_allowance(chain, mine)
             movable = partial(Fraction, moved * SLACK)
             optimal = include_near_ties(chain, optimal, near, whole, movable)
@@ -379,3 +388,119 @@ class UnderLimits(Total):
         answers = ["yes" if self.keeps_limit(limit) else "NO" for limit in self.best.limits]
 
         return {"limits of the policy": self.best.table(self.totals, answers)}
+
+
+# ---- the states ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disagreement:
+    """A state in which a policy does something that is not optimal."""
+
+    state: int
+    label: str
+    learned: str  # the policy's action, or its actions with their probabilities
+    optimal: tuple[str, ...]  # all optimal actions
+    gap: float  # the loss of one use; in a class that the policy never leaves, of staying
+    expected_visits: float  # discounted, from the start
+    cost: float  # expected_visits · gap, plus the loss of staying; costs sum to the regret
+
+
+Findings = tuple[Floats, tuple[Disagreement, ...]]  # visits (S,), and the disagreements
+
+
+def find_policy_disagreements(chain: PolicyChain, regret: Regret) -> Findings:
+    """Return the visits of the policy of `chain`, and the states that make up its regret.
+
+    At discount 1 visits are infinite in recurrent states that are not terminal. They are NaN if
+    floats cannot bound them and rational arithmetic would be slow.
+    """
+    mdp = chain.mdp
+    label = np.full(mdp.n_states, -1)
+    if mdp.discount_exact == 1 and not chain.ends_from_start:
+        label = np.where(chain.reached, final_class(chain), -1)
+    # Recurrent classes become terminal, so their visits are the finite arrivals.
+    leaving = chain
+    if (label >= 0).any():
+        leaving = chain.make_terminal(label >= 0)
+    came = _compute_state_visits(leaving, exactly=isinstance(regret.at_start, Certified))
+    return list_disagreements(chain, regret, np.where(chain.reached, came, 0.0), label)
+
+
+def _compute_state_visits(chain: PolicyChain, *, exactly: bool) -> Floats:
+    """Return (S,) expected visits; `exactly` asks for exact ones if floats lose digits."""
+    try:
+        visits = chain.discounted.visits
+        # An error of 2^-40 of the largest number leaves more digits right than a report shows.
+        if not exactly or visits.error.max() <= 2.0**-40 * visits.value.max():
+            return visits.value
+    except SolverError:
+        if not exactly:
+            return np.full(chain.mdp.n_states, np.nan)
+    return chain.exact_visits.to_floats()
+
+
+def list_disagreements(
+    chain: PolicyChain, regret: Regret, came: Floats, label: Integers
+) -> Findings:
+    """Return visits (S,) and the states that make up the regret, the costliest first.
+
+    `label` (S,) numbers the recurrent classes, -1 elsewhere; `came` (S,) are visits, or arrivals
+    in these classes.
+    """
+    mdp, weights, first = chain.mdp, chain.weights, chain.mdp.pair_offsets[:-1]
+    visits, optimal = np.where(label >= 0, np.inf, came), regret.optimal_pairs
+    # The mean gap of a state's actions; a state is wrong if it takes any pair that is not optimal.
+    gap = np.add.reduceat(weights * np.where(weights > 0, regret.gap, 0.0), first)
+    wrong = np.add.reduceat(weights * ~optimal, first) > 0
+    # Cost is visits times gap, without the undefined products of 0 and infinity.
+    cost = np.where(gap > 0, visits, 0.0) * np.where(visits > 0, gap, 0.0)
+    # A recurrent class may lose without any gap, by staying: that is charged to its wrong states.
+    staying = charge_class_losses(label, came, regret.by_state, gap, wrong)
+    gap, cost = np.where(staying > 0, regret.by_state, gap), cost + staying
+    states, disagreements = np.flatnonzero(wrong & ~mdp.terminal), []
+    # The costliest first, then the largest gap, then the smallest number.
+    for state in states[np.lexsort((states, -gap[states], -cost[states]))].tolist():
+        right = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
+        if isinstance(regret.optimum, Certificate):
+            right = find_attaining_pairs(mdp, regret.optimum, optimal, state)
+        disagreements.append(
+            Disagreement(
+                state=state,
+                label=mdp.space.label(state),
+                learned=action_of(chain, state),
+                optimal=tuple(mdp.actions[mdp.pair_action[pair]] for pair in right),
+                gap=float(gap[state]),
+                expected_visits=float(visits[state]),
+                cost=float(cost[state]),
+            )
+        )
+    return visits, tuple(disagreements)
+
+
+def action_of(chain: PolicyChain, state: int) -> str:
+    """Return the action that a policy takes in a state, or its actions with probabilities."""
+    mdp, weights = chain.mdp, chain.weights
+    taken = [pair for pair in mdp.pairs_of(state) if weights[pair] > 0]
+    names = {pair: str(mdp.actions[mdp.pair_action[pair]]) for pair in taken}
+    if len(taken) == 1:
+        return names[taken[0]]
+    if len(taken) > FEW_NAMED:
+        # Many actions: say so if all are equally likely, else name the likeliest.
+        if len({f"{weights[pair]:.4g}" for pair in taken}) == 1:
+            return f"any of {len(taken)}"
+        taken.sort(key=lambda pair: -weights[pair])
+    return _join_few([f"{weights[pair]:.4g} {names[pair]}" for pair in taken], ", ")
+
+
+def format_alternatives(names: Sequence[str]) -> str:
+    """Return optimal actions as alternatives, in words."""
+    return _join_few(names, " or ")
+
+
+def _join_few(texts: Sequence[str], between: str) -> str:
+    """Return some texts joined; of many, the first few and a count of the others."""
+    if len(texts) <= FEW_NAMED:
+        return between.join(texts)
+    named = texts[: FEW_NAMED - 1]
+    return between.join([*named, f"{len(texts) - len(named)} others"])

@@ -1,157 +1,32 @@
-"""The states in which a policy does not act optimally, the cost of each, and the reason.
+"""The reasons of a regret: what the columns that a policy reads cannot express, and errors.
 
-    cost(s) = d(s) gap(s, π(s)),    d the policy's discounted visits from the start
     V*(start) - V^π(start) = [V*(start) - best] + [best - V^π(start)]
     error(s, a) = Q(row(s), a) - Q*(s, a)
 
-Costs sum to the regret of the policy π; if it stays forever, see `analysis.gate.class_losses`. The
-first bracket is the loss of every policy that reads the same columns (`analysis.gate.columns`), the
-second the learning error on top. Errors of a Q-table are taken over all reachable states with a
+The first bracket is the loss of every policy that reads the same columns (`analysis.gate.columns`),
+the second the learning error on top. Errors of a Q-table are taken over all reachable states with a
 choice, infinite ones excepted; a greedy policy can be optimal although its errors are large.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isinf
 from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.class_losses import (
-    charge_class_losses,
-    final_class,
-    find_attaining_pairs,
-)
 from exact_mdp.analysis.gate.columns import BestPolicy, PolicyRows, best_policy
 from exact_mdp.analysis.gate.regret import Regret, policy_regret
-from exact_mdp.mdp.errors import FEW_NAMED, ModelError
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Shown, format_cell
-from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.claims import Bounded, Certified, SolverError, in_float
-from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.claims import Bounded, Certified, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-
-@dataclass(frozen=True, kw_only=True)
-class Disagreement:
-    """A state in which a policy does something that is not optimal."""
-
-    state: int
-    label: str
-    learned: str  # the policy's action, or its actions with their probabilities
-    optimal: tuple[str, ...]  # all optimal actions
-    gap: float  # the loss of one use; in a class that the policy never leaves, of staying
-    expected_visits: float  # discounted, from the start
-    cost: float  # expected_visits · gap, plus the loss of staying; costs sum to the regret
-
-
-Findings = tuple[Floats, tuple[Disagreement, ...]]  # visits (S,), and the disagreements
-
-
-def find_policy_disagreements(chain: PolicyChain, regret: Regret) -> Findings:
-    """Return the visits of the policy of `chain`, and the states that make up its regret.
-
-    At discount 1 visits are infinite in recurrent states that are not terminal. They are NaN if
-    floats cannot bound them and rational arithmetic would be slow.
-    """
-    mdp = chain.mdp
-    label = np.full(mdp.n_states, -1)
-    if mdp.discount_exact == 1 and not chain.ends_from_start:
-        label = np.where(chain.reached, final_class(chain), -1)
-    # Recurrent classes become terminal, so their visits are the finite arrivals.
-    leaving = chain
-    if (label >= 0).any():
-        leaving = chain.make_terminal(label >= 0)
-    came = _compute_state_visits(leaving, exactly=isinstance(regret.at_start, Certified))
-    return list_disagreements(chain, regret, np.where(chain.reached, came, 0.0), label)
-
-
-def _compute_state_visits(chain: PolicyChain, *, exactly: bool) -> Floats:
-    """Return (S,) expected visits; `exactly` asks for exact ones if floats lose digits."""
-    try:
-        visits = chain.discounted.visits
-        # An error of 2^-40 of the largest number leaves more digits right than a report shows.
-        if not exactly or visits.error.max() <= 2.0**-40 * visits.value.max():
-            return visits.value
-    except SolverError:
-        if not exactly:
-            return np.full(chain.mdp.n_states, np.nan)
-    return chain.exact_visits.to_floats()
-
-
-def list_disagreements(
-    chain: PolicyChain, regret: Regret, came: Floats, label: Integers
-) -> Findings:
-    """Return visits (S,) and the states that make up the regret, the costliest first.
-
-    `label` (S,) numbers the recurrent classes, -1 elsewhere; `came` (S,) are visits, or arrivals
-    in these classes.
-    """
-    mdp, weights, first = chain.mdp, chain.weights, chain.mdp.pair_offsets[:-1]
-    visits = np.where(label >= 0, np.inf, came)
-    # The mean gap of a state's actions; a state is wrong if it takes any pair that is not optimal.
-    gap = np.add.reduceat(weights * np.where(weights > 0, regret.gap, 0.0), first)
-    wrong = np.add.reduceat(weights * ~regret.optimal_pairs, first) > 0
-    # Cost is visits times gap, without the undefined products of 0 and infinity.
-    cost = np.where(gap > 0, visits, 0.0) * np.where(visits > 0, gap, 0.0)
-    # A recurrent class may lose without any gap, by staying: that is charged to its wrong states.
-    staying = charge_class_losses(label, came, regret.by_state, gap, wrong)
-    gap, cost = np.where(staying > 0, regret.by_state, gap), cost + staying
-    states, disagreements = np.flatnonzero(wrong & ~mdp.terminal), []
-    # The costliest first, then the largest gap, then the smallest number.
-    for state in states[np.lexsort((states, -gap[states], -cost[states]))].tolist():
-        right = [pair for pair in mdp.pairs_of(state) if regret.optimal_pairs[pair]]
-        if isinstance(regret.optimum, Certificate):
-            right = find_attaining_pairs(mdp, regret.optimum, regret.optimal_pairs, state)
-        disagreements.append(
-            Disagreement(
-                state=state,
-                label=mdp.space.label(state),
-                learned=action_of(chain, state),
-                optimal=tuple(mdp.actions[mdp.pair_action[pair]] for pair in right),
-                gap=float(gap[state]),
-                expected_visits=float(visits[state]),
-                cost=float(cost[state]),
-            )
-        )
-    return visits, tuple(disagreements)
-
-
-def action_of(chain: PolicyChain, state: int) -> str:
-    """Return the action that a policy takes in a state, or its actions with probabilities."""
-    mdp, weights = chain.mdp, chain.weights
-    taken = [pair for pair in mdp.pairs_of(state) if weights[pair] > 0]
-    names = {pair: str(mdp.actions[mdp.pair_action[pair]]) for pair in taken}
-    if len(taken) == 1:
-        return names[taken[0]]
-    if len(taken) > FEW_NAMED:
-        # Many actions: say so if all are equally likely, else name the likeliest.
-        if len({f"{weights[pair]:.4g}" for pair in taken}) == 1:
-            return f"any of {len(taken)}"
-        taken.sort(key=lambda pair: -weights[pair])
-    return _join_few([f"{weights[pair]:.4g} {names[pair]}" for pair in taken], ", ")
-
-
-def format_alternatives(names: Sequence[str]) -> str:
-    """Return optimal actions as alternatives, in words."""
-    return _join_few(names, " or ")
-
-
-def _join_few(texts: Sequence[str], between: str) -> str:
-    """Return some texts joined; of many, the first few and a count of the others."""
-    if len(texts) <= FEW_NAMED:
-        return between.join(texts)
-    named = texts[: FEW_NAMED - 1]
-    return between.join([*named, f"{len(texts) - len(named)} others"])
-
-
-# ---- why -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

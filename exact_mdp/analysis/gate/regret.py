@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.analysis.gate.class_losses import (
-    chain_of_pairs,
     compute_exact_row,
     final_class,
     to_blame,
@@ -32,11 +31,11 @@ from exact_mdp.analysis.gate.forgiveness import (
     compute_tie_gaps,
     round_finite_values,
 )
-from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.graph import find_reachable_states, label_components
 from exact_mdp.mdp.model import MDP, cache_on_model
+from exact_mdp.mdp.questions.advice import other_question, ways_out
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import LARGEST, Floats, format_rational
 from exact_mdp.mdp.table import exact as exact_number
@@ -69,7 +68,7 @@ from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import evaluate_exactly
 from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.solution import answer_maximised, at_start
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.total import solve_total
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.policy_values import find_policy_values
 
@@ -237,7 +236,7 @@ def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
     `exact` is True for rational arithmetic and False for bounds; by default the model's size
     decides.
     """
-    return answer_maximised(chain.mdp, lambda mdp: _compute_regret(replace(chain, mdp=mdp), exact))
+    return answer_maximised(chain.mdp, lambda mdp: _compute_regret(chain.over(mdp), exact))
 
 
 def _compute_regret(chain: PolicyChain, exact: bool | None) -> Regret:
@@ -273,7 +272,9 @@ def is_cheap_to_certify(mdp: MDP, cycle: int = 200) -> bool:
     most = EXACT_IN_TIME
     if mdp.space.untimed is None:
         most = EXACT_TRANSITIONS
-    return mdp.n_transitions <= most and _longest_cycle(mdp) <= cycle
+    if mdp.n_transitions > most:
+        return False
+    return mdp.n_states <= cycle or _longest_cycle(mdp) <= cycle
 
 
 @cache_on_model
@@ -332,8 +333,8 @@ class _ExactValues:
         """The chain of an optimal policy: if all policies end, of the first optimal pairs."""
         mdp, best = self.chain.mdp, self.best
         if mdp.ends.has_improper_policy:
-            return chain_of_pairs(mdp, best.pairs)
-        return chain_of_pairs(mdp, first_of(mdp, best.optimal_pairs))
+            return PolicyChain.of_pairs(mdp, best.pairs)
+        return PolicyChain.of_pairs(mdp, first_of(mdp, best.optimal_pairs))
 
     @cached_property
     def allowance(self) -> Fraction:
@@ -416,7 +417,7 @@ def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     if not np.array_equal(chain.pairs, optimum.pairs):
         own = find_policy_values(chain)
     # Pairs that are not proven to lose count as optimal; some of them are open.
-    near, ideal = ActionBounds(mdp, optimum), chain_of_pairs(mdp, optimum.pairs)
+    near, ideal = ActionBounds(mdp, optimum), PolicyChain.of_pairs(mdp, optimum.pairs)
     loses = _find_losing_pairs(ideal, known, near.least_gap)
     losses = partial(
         StateLosses,
@@ -487,7 +488,7 @@ def _find_losing_pairs(ideal: PolicyChain, known: BoundedVector, least_gap: Floa
 @cache_on_model
 def bounded_optimum(mdp: MDP) -> Bounds:
     """Return bounds around the optimal values, as narrow as double precision allows."""
-    solved = solve(mdp)
+    solved = solve_total(mdp)
     bounds = bound_optimal_values(mdp, solved.value)
     # 2^-36 of the largest value is about 1e-11: wider bounds come from a solver that stopped at its
     # tolerance of 1e-9, while the values of a policy are exact up to rounding.

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fractions import Fraction
 from itertools import permutations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.layout import MOST_NAMED
-from exact_mdp.analysis.perception import ErrorCosts
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
@@ -29,7 +28,6 @@ from exact_mdp.analysis.plots.style import (
     label_axes,
     make_swatch,
 )
-from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, require_extra
 from exact_mdp.mdp.model import MDP
@@ -37,6 +35,10 @@ from exact_mdp.mdp.policies.choices import state_names
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
+
+if TYPE_CHECKING:
+    from exact_mdp.analysis.perception import ErrorCosts
+    from exact_mdp.analysis.tradeoffs.front import Front
 
 MANY = 80  # outcomes above which no graph can be read
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from exact_mdp.analysis.learning.curves import LearningCurve, average_epochs
-from exact_mdp.analysis.learning.outcomes import Outcomes
-from exact_mdp.analysis.learning.trainers import TrainerAudit
 from exact_mdp.analysis.plots.style import (
     BLUE,
     HATCHES,
@@ -24,9 +23,13 @@ from exact_mdp.analysis.plots.style import (
     label_axes,
 )
 from exact_mdp.analysis.vary.intervals import compute_wilson_interval
-from exact_mdp.solvers.values.returns import ReturnDistribution
-from exact_mdp.solvers.values.simulate import Simulation
-from exact_mdp.solvers.values.trace import Trace
+
+if TYPE_CHECKING:
+    from exact_mdp.analysis.learning.outcomes import Outcomes
+    from exact_mdp.analysis.learning.trainers import TrainerAudit
+    from exact_mdp.solvers.values.returns import ReturnDistribution
+    from exact_mdp.solvers.values.simulate import Simulation
+    from exact_mdp.solvers.values.trace import Trace
 
 MEAN: Look = {"color": "black", "linestyle": "--", "linewidth": 1}
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,18 +32,20 @@ from exact_mdp.analysis.plots.style import (
     make_swatch,
     name_rows,
 )
-from exact_mdp.analysis.vary.curves.curve import ValueFunction
-from exact_mdp.analysis.vary.curves.gradient import Gradient
-from exact_mdp.analysis.vary.curves.thresholds import Thresholds
 from exact_mdp.analysis.vary.economics import WTP, CostEffectiveness, parse_price
 from exact_mdp.analysis.vary.intervals import tolerances_of
-from exact_mdp.analysis.vary.one_way import Curve, Tornado, TwoWay
-from exact_mdp.analysis.vary.psa import PSA
 from exact_mdp.analysis.vary.ranges import unit_of
-from exact_mdp.analysis.vary.sobol import Sobol
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.solvers.arguments import OfCriterion
+
+if TYPE_CHECKING:
+    from exact_mdp.analysis.vary.curves.curve import ValueFunction
+    from exact_mdp.analysis.vary.curves.gradient import Gradient
+    from exact_mdp.analysis.vary.curves.thresholds import Thresholds
+    from exact_mdp.analysis.vary.one_way import Curve, Tornado, TwoWay
+    from exact_mdp.analysis.vary.psa import PSA
+    from exact_mdp.analysis.vary.sobol import Sobol
 
 OUTPUT = {
     "optimal": "value at the start, policy re-optimised",

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,7 +23,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.layout import (
     ARROWS,
     MOST_CELLS,
@@ -54,9 +53,12 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.solution import Solution
-from exact_mdp.solvers.values.evaluate import Evaluation
 from exact_mdp.solvers.values.policy_chain import policy_of
+
+if TYPE_CHECKING:
+    from exact_mdp.analysis.gate.audit import Audit
+    from exact_mdp.solvers.solution import Solution
+    from exact_mdp.solvers.values.evaluate import Evaluation
 
 NUMBERED = 60  # cells that have room for a number, too
 NAMES_PER_INCH = 7.2  # one above the other, or upright side by side

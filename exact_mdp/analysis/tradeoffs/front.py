@@ -47,9 +47,9 @@ from exact_mdp.solvers.objectives.totals import (
     Point,
     TotalsProof,
     find_extreme_policy,
+    flow_of,
     list_proof_fields,
 )
-from exact_mdp.solvers.values.policy_chain import flow_of
 
 Weights = tuple[int, ...]
 

@@ -37,11 +37,12 @@ from exact_mdp.solvers.objectives.totals import (
     OccupancyMeasure,
     Point,
     TotalsProof,
+    flow_of,
     flow_under,
     list_proof_fields,
     solve_weighted,
 )
-from exact_mdp.solvers.values.policy_chain import flow_of, policy_of
+from exact_mdp.solvers.values.policy_chain import policy_of
 
 ZERO, ONE = Fraction(0), Fraction(1)
 

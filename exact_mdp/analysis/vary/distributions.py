@@ -69,8 +69,7 @@ from exact_mdp.analysis.vary.interval_fits import (
     fit_normal,
     fit_uniform,
 )
-from exact_mdp.analysis.vary.ranges import flatten_entries, is_probability, unit_of
-from exact_mdp.analysis.vary.study import read_points
+from exact_mdp.analysis.vary.ranges import flatten_entries, is_probability, read_points, unit_of
 from exact_mdp.mdp.errors import (
     ModelError,
     check_names,

@@ -38,11 +38,11 @@ from exact_mdp.analysis.vary.intervals import (
     mean_of,
     tolerances_of,
 )
+from exact_mdp.analysis.vary.ranges import read_points
 from exact_mdp.analysis.vary.study import (
     Study,
     StudyDraws,
     hash_policies,
-    read_points,
     require_room_for_points,
     solver_of,
 )

@@ -12,14 +12,18 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, locate_errors, require_list, require_type
+from exact_mdp.mdp.errors import ModelError, check_names, locate_errors, require_list, require_type
+from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
 from exact_mdp.mdp.parametric.family import place_of
-from exact_mdp.mdp.table import FLOAT_RANGE, exact, format_beside_limits, format_rational
+from exact_mdp.mdp.result import DataFrame
+from exact_mdp.mdp.table import FLOAT_RANGE, Numbers, exact, format_beside_limits, format_rational
 
 RELATIVE = Fraction(1, 5)  # a share of today's value; every result states its ranges
 
@@ -274,3 +278,43 @@ def spans_of(
     if not spans:
         raise ModelError("no parameter has a range", where=place_of(model), fix="state a range")
     return spans
+
+
+def read_points(
+    model: Parametric,
+    given: Mapping[str, Any] | DataFrame,
+    fix: str = "correct the table: give finite numbers within its range",
+) -> Numbers:
+    """Return points (D, P), checked; they are fractions unless all numbers are floats."""
+    # All columns must have the same length, at least 1.
+    check_names(given, "column", where="points")
+    columns = {name: np.asarray(given[name]) for name in given}
+    shapes = {column.shape for column in columns.values()}
+    if len(shapes) != 1 or len(*shapes) != 1 or (0,) in shapes:
+        sizes = ", ".join(map(str, sorted(shapes)))
+        raise ModelError(
+            "no row" if shapes == {(0,)} else f"columns of shape {sizes or 'none'}",
+            where="points",
+            fix="give one number for each point and parameter, at least one point",
+        )
+    # Numbers that are not floats are kept exact.
+    if not all(column.dtype.kind == "f" for column in columns.values()):
+        columns = {
+            name: np.array([exact(number, f"parameter {name}") for number in given[name]])
+            for name in columns
+        }
+    points = np.column_stack([*columns.values()])
+    # Every number must be finite and within the limits of its parameter.
+    for name, drawn in zip(columns, float_array(points, "points").T, strict=True):
+        low, high = map(float, parameter_of(model, name).limits)
+        wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
+        if wrong.any():
+            row, fault = int(wrong.argmax()), f"outside [{low:g}, {high:g}]"
+            if not np.isfinite(drawn[row]):
+                fault = "not a finite number"
+            raise ModelError(
+                f"{name} is {drawn[row]:.17g}, {fault}",
+                where=f"draw {row}",
+                fix=fix,
+            )
+    return points

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.analysis.optimum import actions_of
-from exact_mdp.analysis.vary.ranges import Stated, spans_of
-from exact_mdp.analysis.vary.study import StudyDraws, read_points, solver_of
+from exact_mdp.analysis.vary.ranges import Stated, read_points, spans_of
+from exact_mdp.analysis.vary.study import StudyDraws, solver_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.graph import find_reachable_states

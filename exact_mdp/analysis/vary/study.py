@@ -20,28 +20,27 @@ from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
 
-from exact_mdp.mdp.advice import warn_of_zero_reward
+from exact_mdp.analysis.vary.ranges import read_points
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import (
     DistributionError,
     ModelError,
     annotate_errors,
-    check_names,
     join_few,
     locate_errors,
     require_list,
 )
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.parametric.row_change import check_alike
 from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.advice import warn_of_zero_reward
 from exact_mdp.mdp.report import format_cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.sense import Sense
-from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers, exact
+from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.arguments import OfCriterion, is_average
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
@@ -165,46 +164,6 @@ def study(
         "policies": [hash_policies(weight) for weight in weights],
     }
     return StudyDraws(solver, table, max(1, solver.block // 2), key, how).run_study(weights)
-
-
-def read_points(
-    model: Parametric,
-    given: Mapping[str, Any] | DataFrame,
-    fix: str = "correct the table: give finite numbers within its range",
-) -> Numbers:
-    """Return points (D, P), checked; they are fractions unless all numbers are floats."""
-    # All columns must have the same length, at least 1.
-    check_names(given, "column", where="points")
-    columns = {name: np.asarray(given[name]) for name in given}
-    shapes = {column.shape for column in columns.values()}
-    if len(shapes) != 1 or len(*shapes) != 1 or (0,) in shapes:
-        sizes = ", ".join(map(str, sorted(shapes)))
-        raise ModelError(
-            "no row" if shapes == {(0,)} else f"columns of shape {sizes or 'none'}",
-            where="points",
-            fix="give one number for each point and parameter, at least one point",
-        )
-    # Numbers that are not floats are kept exact.
-    if not all(column.dtype.kind == "f" for column in columns.values()):
-        columns = {
-            name: np.array([exact(number, f"parameter {name}") for number in given[name]])
-            for name in columns
-        }
-    points = np.column_stack([*columns.values()])
-    # Every number must be finite and within the limits of its parameter.
-    for name, drawn in zip(columns, float_array(points, "points").T, strict=True):
-        low, high = map(float, parameter_of(model, name).limits)
-        wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
-        if wrong.any():
-            row, fault = int(wrong.argmax()), f"outside [{low:g}, {high:g}]"
-            if not np.isfinite(drawn[row]):
-                fault = "not a finite number"
-            raise ModelError(
-                f"{name} is {drawn[row]:.17g}, {fault}",
-                where=f"draw {row}",
-                fix=fix,
-            )
-    return points
 
 
 def require_room_for_points(count: int, parameters: int, fix: str) -> None:

@@ -27,6 +27,9 @@ from exact_mdp.mdp.table import (
     OutcomeTable,
     Rows,
     all_rows,
+    find_distinct,
+    find_nonzero,
+    hold_same_numbers,
     normalize_rows,
 )
 
@@ -62,7 +65,7 @@ def table_of(
         following, chance = taken
     else:
         chance = put_right(chance, offsets)
-        positive = np.asarray(chance != 0, dtype=bool)
+        positive = find_nonzero(chance)
         if not (own and positive.all()):
             following, chance = following[positive], chance[positive]
             if not by_pair:
@@ -87,7 +90,7 @@ def table_of(
     # Rewards that are equal in all outcomes of a pair are stored by pair.
     if not by_pair and len(gain) and np.diff(offsets).all():
         of_pair = gain[offsets[:-1]]
-        if np.asarray(gain == np.repeat(of_pair, np.diff(offsets)), dtype=bool).all():
+        if hold_same_numbers(gain, np.repeat(of_pair, np.diff(offsets))):
             gain, by_pair = of_pair, True
     # Bring rows and rewards into the form of a table.
     weight, below = rationalize_rows(chance, offsets)
@@ -124,10 +127,7 @@ def _rank_values(column: Numbers) -> Integers:
     """
     if column.dtype != object:
         return np.unique(column, return_inverse=True)[1]
-    listed = column.tolist()
-    places = np.fromiter(map(id, listed), np.int64, len(listed))
-    _, first, copies = np.unique(places, return_index=True, return_inverse=True)
-    objects = [listed[number] for number in first.tolist()]
+    objects, copies = find_distinct(column.tolist())
     rank = {value: number for number, value in enumerate(sorted({*objects}))}
     return np.array([rank[value] for value in objects], dtype=np.int64)[copies]
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, annotate_errors, locate_errors, require_type
-from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, name_columns
+from exact_mdp.mdp.forms.listed import OutcomeColumns, name_columns
+from exact_mdp.mdp.forms.names import ByNumber, Numbering
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import COUNTED, check_options, require_count

@@ -13,16 +13,26 @@ to an additional state "end". Components may be dictionaries of these forms.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, require_type
-from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, name_columns
+from exact_mdp.mdp.forms.names import (
+    Numbering,
+    action_names,
+    count_from_zero,
+    find_free_name,
+    name_things,
+    text_of,
+)
 from exact_mdp.mdp.forms.numbers import array_of, as_given, to_dense
 from exact_mdp.mdp.sense import Sense
+from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import exact
 
 Path = tuple[Any, ...]
@@ -61,12 +71,16 @@ def fill_missing_rows(
     known, complete = [], True
     for own in P:
         for cell in own:
-            if cell is None or (_is_list(cell) and not len(cell)):
+            if cell is None:
                 complete = False
-            else:
+            elif not _is_list(cell):
+                return P, R, layout, None
+            elif len(cell):
                 known.append(cell)
+            else:
+                complete = False
     lengths = {*map(len, P)}
-    if not all(map(_is_list, known)) or (complete and len(lengths) == 1):
+    if complete and len(lengths) == 1:
         return P, R, layout, None
     # Find the layout from the number of states, which is the length of a row.
     states = max(map(len, known), default=0)
@@ -369,3 +383,64 @@ def _float_to_integer(number: Any) -> Any:
     if isinstance(number, float) and number.is_integer():
         return int(number)
     return number
+
+
+@dataclass(frozen=True, eq=False)
+class OutcomeColumns:
+    """Pairs in numbers, in the order given, and all their outcomes."""
+
+    state: list[int] = field(default_factory=list)  # (L,)
+    action: list[int] = field(default_factory=list)  # (L,)
+    length: list[int] = field(default_factory=list)  # (L,) the number of outcomes
+    chance: list[Any] = field(default_factory=list)  # (N,)
+    following: list[int] = field(default_factory=list)  # (N,)
+    gain: list[Any] = field(default_factory=list)  # (N,)
+
+    def add_pair(self, state: int, action: int, outcomes: Iterable[tuple[Any, int, Any]]) -> None:
+        """Add a pair with its outcomes: probability, next state, reward."""
+        listed = [*outcomes]
+        columns = self.chance, self.following, self.gain
+        # By columns, as to append each number alone takes twice as long.
+        for column, own in zip(columns, zip(*listed, strict=True), strict=bool(listed)):
+            column.extend(own)
+        self.state.append(state)
+        self.action.append(action)
+        self.length.append(len(listed))
+
+
+def name_columns(
+    columns: OutcomeColumns,
+    states: Numbering,
+    actions: Numbering,
+    ends: Iterable[Hashable],
+    paid: Mapping[Hashable, Any] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Return the names of states and actions; change their numbers in `columns`, and add the ends.
+
+    Numbers change if things are whole numbers. `ends` are the states without actions. Those in
+    `paid` {end: reward} earn the reward once and lead to an additional state.
+    """
+    found = list(states.number), list(actions.number)
+    things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
+    parts = (states, columns.state), (states, columns.following), (actions, columns.action)
+    for (numbering, numbers), before in zip(parts, (found[0], *found), strict=True):
+        place = [numbering.number[thing] for thing in before]
+        numbers[:] = [place[old] for old in numbers]
+    # Ends stay put, or earn their reward and lead to the additional state, which has number S.
+    number, last = states.number, len(things)
+    for end in ends:
+        outcome = (1, number[end], 0)
+        if end in paid:
+            outcome = (1, last, paid[end])
+        columns.add_pair(number[end], 0, [outcome])
+    if paid:
+        columns.add_pair(last, 0, [(1, last, 0)])
+    # Its name must differ from the names of all other states.
+    extra: tuple[str, ...] = ()
+    if paid:
+        extra = (find_free_name("end", [*map(text_of, things)]),)
+    column = Column(name="state", size=len(things))
+    if not count_from_zero(things):
+        column = replace(column, words=name_things(things, "state"), objects=tuple(things))
+    space = StateSpace(columns=(column,), extra=extra)
+    return {"space": space, **action_names(doing)}

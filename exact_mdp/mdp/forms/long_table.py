@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, locate_errors, require_type
-from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, name_columns
+from exact_mdp.mdp.forms.listed import OutcomeColumns, name_columns
+from exact_mdp.mdp.forms.names import Numbering
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.io.files import read_text
 from exact_mdp.mdp.io.structured import csv_of, require_column_names

@@ -13,6 +13,11 @@ The same rule holds for states and actions in constructors, policies, tables, fi
 
 For example, if the states are named 3, 1, 2, 0, the text "3" is the first state, and the number 3
 is refused.
+
+Things of which a model is made are numbered in the order in which they first occur. If they are the
+whole numbers 0 … n-1, perhaps beside one text such as "end", which comes last, each is its own
+number, also as a NumPy integer, float or fraction; False and True count as 0 and 1, as in Python.
+Text stays text, also "0".
 """
 
 from __future__ import annotations
@@ -92,6 +97,60 @@ def integer_of(thing: Any) -> int | None:
         if text.isascii() and text.isdigit() and len(text) <= 18:
             return int(text)
     return None
+
+
+class Numbering:
+    """Numbers for things, in the order in which they first occur."""
+
+    def __init__(self) -> None:
+        self.number: dict[Hashable, int] = {}
+
+    def add_thing(self, thing: Any, what: str, where: str) -> int:
+        """Return the number of a thing, a new one if needed; ModelError if it is not hashable."""
+        try:
+            return self.number.setdefault(thing, len(self.number))
+        except TypeError as error:
+            raise ModelError(
+                f"{what} is {thing!r}, which cannot be a key",
+                where=where,
+                fix="use numbers, words or tuples, not lists, arrays or dictionaries",
+            ) from error
+
+    def list_in_order(self) -> list[Any]:
+        """Return the things in the order of their numbers; 0 … n-1 are renumbered as themselves."""
+        things: list[Any] = list(self.number)
+        whole = []
+        for thing in things:
+            if _is_whole(thing):
+                thing = int(thing)
+            whole.append(thing)
+        counted, others = list[Any](), list[Any]()
+        for thing in whole:
+            (counted if isinstance(thing, int | np.bool_) else others).append(thing)
+        from_0 = {*counted} == {*range(len(counted))}
+        if others and not (from_0 and len(others) == 1 and isinstance(others[0], str)):
+            return things
+        if from_0:
+            whole = [*sorted(counted), *others]
+            self.number = {thing: number for number, thing in enumerate(whole)}
+        return whole
+
+
+def _is_whole(thing: Any) -> bool:
+    return not isinstance(thing, str) and integer_of(thing) is not None
+
+
+def count_from_zero(things: Sequence[Any]) -> bool:
+    """Return whether things are the whole numbers 0 … n-1, which need no names."""
+    return all(map(_is_whole, things)) and [*things] == [*range(len(things))]
+
+
+def action_names(things: Sequence[Any]) -> dict[str, Any]:
+    """Return the parts of `MDP` for actions given as things: `actions` and `action_objects`."""
+    objects: tuple[Any, ...] = ()
+    if not count_from_zero(things):
+        objects = tuple(things)
+    return {"actions": name_things(things, "action"), "action_objects": objects}
 
 
 @dataclass(frozen=True, kw_only=True)

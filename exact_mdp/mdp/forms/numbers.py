@@ -20,8 +20,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError, join_few, locate_errors
-from exact_mdp.mdp.forms.rows import rationalize_row
+from exact_mdp.mdp.forms.rows import FLOAT_ROW_TOLERANCE, rationalize_row, rows_to_integers
 from exact_mdp.mdp.table import (
+    EXACT_IN_FLOAT,
     EXACT_IN_INT64,
     Floats,
     Integers,
@@ -30,7 +31,9 @@ from exact_mdp.mdp.table import (
     exact,
     find_magnitude,
     make_ones,
+    normalize_rows,
     over_groups,
+    to_common_denominator,
     to_integer_array,
     whole_fraction,
 )
@@ -196,38 +199,48 @@ def _check_places(matrix: Any) -> None:
 
 def _to_array(values: Any) -> Any:
     """Return an array or nested lists as an array of integers, floats, or exact numbers."""
-    objects = isinstance(values, np.ndarray) and values.dtype == object
-    if objects and any(isinstance(value, np.ndarray) for value in values.flat):
-        values = values.tolist()  # an array of matrices is a list of them
-    # NumPy reads numbers of one type; from several types it would make floats.
+    if isinstance(values, np.ndarray) and values.dtype == object:
+        kinds = set(map(type, values.flat))
+        if kinds <= {Fraction, float}:
+            return values  # this is the form of exact numbers already
+        if any(issubclass(kind, np.ndarray) for kind in kinds):
+            values = values.tolist()  # an array of matrices is a list of them
+    # NumPy reads numbers of one type. Integers beside floats become floats.
     kinds = _find_types(values)
+    plain = len(kinds) == 1 or kinds <= {int, bool} or kinds <= {int, float, np.float64}
     try:
-        if len(kinds) == 1 or kinds <= {float, np.float64} or kinds <= {int, bool}:
+        if plain:
             array = np.asarray(values)
-        else:
+            plain = array.dtype.kind != "f" or int not in kinds or _may_hold_integers(array)
+        if not plain:
             array = np.array(_to_nested_lists(values), dtype=object)
-            if any(isinstance(value, list) for value in array.flat):
+            if list in set(map(type, array.flat)):
                 raise ValueError
     except ValueError as error:
         raise ModelError("rows of different lengths", fix="make the array rectangular") from error
     # Integers and floats are exact as they are.
     if array.dtype.kind in "iub" and array.dtype != np.uint64:
         return array.astype(np.int64)
-    if array.dtype.kind == "f" and int not in kinds:
+    if array.dtype.kind == "f":
         return array
-    if array.dtype.kind not in "OUSuf":
+    if array.dtype.kind not in "OUSu":
         raise ModelError(f"an array of type {array.dtype}", fix="give real numbers")
-    # All others are read one by one. Most numbers are 0, and share one object.
+    # All others are read one by one.
     if array.dtype != object:
         array = np.array(_to_nested_lists(values), dtype=object)
-    zero = Fraction(0)
-    numbers: list[Fraction | float] = []
-    for value in array.flat:
-        if type(value) is int and not value:
-            numbers.append(zero)
-        else:
-            numbers.append(as_given(value))
+    numbers = [as_given(value) for value in array.flat]
     return np.array(numbers, dtype=object).reshape(array.shape)
+
+
+def _may_hold_integers(array: Floats) -> bool:
+    """Return whether integers that became floats of an array mean the same as before.
+
+    They are floats exactly below 2^53. And an exact 1 differs from 1.0 only in a row with numbers
+    so small that they may be rounding errors of its sum.
+    """
+    sizes = np.abs(array[np.isfinite(array)])
+    rounding = (sizes > 0) & (sizes <= FLOAT_ROW_TOLERANCE)
+    return bool(sizes.max(initial=0) < EXACT_IN_FLOAT and not rounding.any())
 
 
 def _find_types(values: Any) -> set[Any]:
@@ -245,9 +258,11 @@ def _find_types(values: Any) -> set[Any]:
 
 def _to_nested_lists(values: Any) -> Any:
     """Return nested lists of the given numbers, each with its own type."""
-    if isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim):
+    if not (isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim)):
+        return values
+    if any(issubclass(kind, list | tuple | np.ndarray) for kind in set(map(type, values))):
         return [_to_nested_lists(value) for value in values]
-    return values
+    return list(values)
 
 
 def exact_sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
@@ -381,12 +396,23 @@ def rationalize_rows(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbe
     rows = [flat[first:last] for first, last in pairwise(offsets.tolist())]
     if all(_in_floats(row) for row in rows):
         return np.array([float(value) for value in flat]), make_ones(len(rows))
-    exactly: list[Fraction | float] = []
-    for row in rows:
-        exactly += rationalize_row(row)
-    if any(isinstance(value, float) and not isfinite(value) for value in exactly):
-        return group_numbers(exactly, offsets)
-    return over_groups(list(map(exact, exactly)), offsets)
+    # Rows of floats are converted all at once, which takes a tenth of the time.
+    top, below = np.empty(len(flat), dtype=object), np.empty(len(rows), dtype=object)
+    in_floats = np.array([all(isinstance(value, float) for value in row) for row in rows])
+    inside, lengths = np.repeat(in_floats, np.diff(offsets)), np.diff(offsets)[in_floats]
+    weight, ends = values[inside].astype(np.float64), np.append(0, np.cumsum(lengths))
+    if normalize_rows(weight, ends):
+        top[inside], below[in_floats] = rows_to_integers(weight, ends)
+    else:
+        in_floats[:] = False
+    # Rows with exact numbers, or with an error, are converted one by one.
+    for number in np.flatnonzero(~in_floats).tolist():
+        row = rationalize_row(rows[number])
+        if any(isinstance(value, float) and not isfinite(value) for value in row):
+            return group_numbers(flat, offsets)
+        own = slice(offsets[number], offsets[number + 1])
+        top[own], below[number] = to_common_denominator([exact(value) for value in row])
+    return to_integer_array(top), to_integer_array(below)
 
 
 def _in_floats(row: list[Fraction | float]) -> bool:

@@ -72,7 +72,7 @@ FORMATS: dict[str, Format] = {
     ".pm": PRISM,
     ".jani": Format("a JANI model", "io.storm:read_jani", options=OF_PROGRAM),
     ".drn": Format("an explicit model of Storm", "io.storm:read_drn", options=OF_EXPLICIT),
-    ".tra": Format("explicit files of PRISM", "io.prism_explicit:read_tra", options=OF_EXPLICIT),
+    ".tra": Format("explicit files of PRISM", "io.explicit:read_tra", options=OF_EXPLICIT),
 }
 # Models that are not files: gymnasium:ID, and a model of Storm in memory.
 IN_MEMORY = Format("a model of Storm", "io.storm:read_storm_model", options=OF_EXPLICIT)

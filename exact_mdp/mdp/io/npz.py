@@ -42,17 +42,15 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections.abc import Hashable, Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.forms.names import text_of
-from exact_mdp.mdp.io.files import LARGE, LARGEST, PIECE, open_file, write_atomically
+from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.parts import (
     FLOATS,
     MODEL,
@@ -66,7 +64,7 @@ from exact_mdp.mdp.io.parts import (
     parse_rational,
     states_format,
 )
-from exact_mdp.mdp.io.structured import json_of, or_null, refuse_value, require_shape
+from exact_mdp.mdp.io.structured import json_of, or_null, read_arrays, refuse_value, require_shape
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
@@ -317,112 +315,3 @@ def _as_integers(name: str, array: Numbers, parts: int) -> Numbers:
     if name == "components":
         return wide.reshape(-1, count)
     return wide
-
-
-# ---- arrays --------------------------------------------------------------------------------------
-
-
-def most_unpacked(packed: int) -> int:
-    """Return the number of bytes to which an archive of `packed` bytes may unpack.
-
-    It is 64 times its own size, or 256 MiB: enough for any real model, and little enough that a
-    small hostile file cannot fill the memory.
-    """
-    return min(LARGEST, max(LARGE, 64 * packed))
-
-
-def refuse_size(size: int, most: int, *, table: bool = False) -> None:
-    """Raise ModelError for more than `most` bytes; `table` is True for the table of a policy."""
-    if size <= most:
-        return
-    fix = "check that it is the right file, or save it again without compression"
-    if table:
-        fix = "check that it is the right file: a policy has a number for each state and action"
-    what = f"the data unpacks to {size:,} bytes, more than the {most:,} that are read"
-    raise ModelError(what, fix=fix)
-
-
-def unpacked_size(stream: Any, most: int) -> int:
-    """Return the unpacked size of a compressed stream; stop with an error beyond `most` bytes."""
-    size = 0
-    for piece in iter(partial(stream.read, PIECE), b""):
-        size += len(piece)
-        refuse_size(size, most)
-    return size
-
-
-def read_array(
-    path: str | Path, name: str | None = None, *, called: str, most: int = LARGE
-) -> Numbers:
-    """Return the array of a `.npy` file, or an array of an `.npz` file.
-
-    It is the array `name`; without a name the array `called`, or the only one. Nothing is rounded.
-    Raises ModelError for a file that is damaged or not a regular file, for anything but real
-    numbers, and for more than `most` bytes, before they are read.
-    """
-    with open_file(path, most=LARGEST) as file, locate_errors(str(path)):
-        alone = name or called
-        array = _read_archive(file, alone=alone, exactly=name is not None, most=most)[alone]
-        if array.dtype.kind not in "fiu":
-            raise ModelError(f"an array of type {array.dtype}", fix="save real numbers")
-    return array
-
-
-def read_arrays(source: str | Path | bytes) -> dict[str, Numbers]:
-    """Return all arrays of an `.npz` file, or of its bytes, by name."""
-    if isinstance(source, bytes):
-        return _read_archive(io.BytesIO(source), most=most_unpacked(len(source)))
-    with open_file(source, most=LARGEST) as file, locate_errors(str(source)):
-        return _read_archive(file, most=most_unpacked(file.seek(0, io.SEEK_END)))
-
-
-def _read_archive(
-    file: BinaryIO, *, most: int, alone: str = "", exactly: bool = False
-) -> dict[str, Numbers]:
-    """Return the arrays of an archive; each is read completely, so that its checksum is compared.
-
-    With `alone`, return a single array under that name: the array of a `.npy` file, or the array of
-    that name in an archive, or the only array of the archive unless it has to have `exactly` that
-    name.
-    """
-    try:
-        # A file that is not an archive is one array.
-        if alone and not zipfile.is_zipfile(file):
-            refuse_size(file.seek(0, io.SEEK_END), most, table=True)
-            file.seek(0)
-            return {alone: _parse_npy(file.read())}
-        with zipfile.ZipFile(file) as archive:
-            members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
-            if alone and alone not in members and (exactly or len(members) != 1):
-                raise ModelError(
-                    f"the archive holds {', '.join(members)[:200] or 'nothing'}",
-                    fix=f"say which: {file.name}#{next(iter(members), 'NAME')}",
-                )
-            if alone:
-                members = {alone: members.get(alone, next(iter(members.values())))}
-            size = sum(each.file_size for each in members.values())
-            refuse_size(size, most, table=bool(alone))
-            arrays = {}
-            for name, each in members.items():
-                arrays[name] = _parse_npy(_unpack_member(archive, each))
-            return arrays
-    except (ModelError, OSError):
-        raise
-    except Exception as error:  # NumPy, zipfile and zlib raise many kinds on damaged files
-        raise ModelError(
-            "not a readable NumPy array, or an archive of these: damaged, or with Python objects",
-            fix="save it again, with numbers only",
-        ) from error
-
-
-def _unpack_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Return the content of a member, read in pieces, so that it cannot exceed its stated size."""
-    with archive.open(member) as file:
-        return b"".join(iter(partial(file.read, PIECE), b""))
-
-
-def _parse_npy(content: bytes) -> Numbers:
-    """Return the array of a `.npy` file in the machine's byte order."""
-    # From a file, older versions of NumPy would read a length of -1 as everything that follows.
-    array = np.load(io.BytesIO(content), allow_pickle=False)
-    return np.asarray(array.astype(array.dtype.newbyteorder("="), copy=False))

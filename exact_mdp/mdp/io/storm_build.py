@@ -92,20 +92,16 @@ def _build_model(language: str, path: str, constants: str) -> dict[str, Any]:
 def list_model_parts(model: Any) -> dict[str, Any]:
     """Return the parts of a model; numbers are indices of the list `numbers` of texts "p/q"."""
     # Equal numbers are written once.
-    numbers: dict[str, int] = {}
+    numbers: dict[Any, int] = {}
 
     def add_number(value: Any) -> int:
-        return numbers.setdefault(str(value), len(numbers))
+        return numbers.setdefault(value, len(numbers))
 
-    # The rows of the transition matrix: a choice is a row, a branch an entry.
+    # The rows of the transition matrix: a choice is a row, a branch an entry. All entries are read
+    # at once: to begin with each row anew takes ten times as long.
     matrix, states = model.transition_matrix, range(model.nr_states)
-    choices = range(matrix.nr_rows)
-    targets, chances, lengths = [], [], []
-    for choice in choices:
-        row = list(matrix.get_row(choice))
-        targets += [entry.column for entry in row]
-        chances += [add_number(entry.value) for entry in row]
-        lengths.append(len(row))
+    choices, entries = range(matrix.nr_rows), list(matrix)
+    lengths = [len(matrix.get_row(choice)) for choice in choices]
     # Reward models, by state and by choice.
     rewards: dict[str, dict[str, list[int]]] = {}
     for name, own in model.reward_models.items():
@@ -130,14 +126,14 @@ def list_model_parts(model: Any) -> dict[str, Any]:
     return {
         "first_choice": [0, *map(matrix.get_row_group_end, states)],
         "first_branch": [0, *accumulate(lengths)],
-        "targets": targets,
-        "chances": chances,
+        "targets": [entry.column for entry in entries],
+        "chances": [add_number(entry.value) for entry in entries],
         "choice_words": words,
         "labels": {word: list(labels.get_states(word)) for word in labels.get_labels()},
         "rewards": rewards,
         "variables": [variable.name for variable in variables],
         "values": values,
-        "numbers": [*numbers],
+        "numbers": [*map(str, numbers)],
         "exact": model.is_exact,
     }
 

@@ -42,8 +42,13 @@ from exact_mdp.mdp.errors import (
     shown_text,
 )
 from exact_mdp.mdp.io.explicit import REWARD, build_explicit_model, name_states
-from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
-from exact_mdp.mdp.io.npz import most_unpacked, pack_model, unpack_model, unpacked_size
+from exact_mdp.mdp.io.files import (
+    LARGEST,
+    read_bytes,
+    write_atomically,
+)
+from exact_mdp.mdp.io.npz import pack_model, unpack_model
+from exact_mdp.mdp.io.structured import most_unpacked, unpacked_size
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 

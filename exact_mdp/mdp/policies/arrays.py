@@ -46,7 +46,7 @@ from exact_mdp.mdp.forms.names import integer_of
 from exact_mdp.mdp.forms.numbers import convert_tensors, is_pandas_table, refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.horizon import flatten_times
-from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.space import StateSpace, find_table_space
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, to_python_number
 
 Flags = NDArray[np.bool_]
@@ -306,7 +306,7 @@ def find_table_axes(
 ) -> tuple[StateSpace, tuple[str, ...]] | None:
     """Return the states of the rows and the actions of the columns of a table; None if none fit."""
     if shape[1:] == (model.n_actions,):
-        space = space_of(model, shape[0])
+        space = find_table_space(model.space, shape[0], model.forced)
         if space is not None:
             return space, model.actions
     # A table over the status vectors has columns for the actions that are a choice somewhere.
@@ -343,7 +343,11 @@ def _no_policy(model: MDP, array: Numbers, kind: str = "auto") -> ModelError:
     elif shape[:1] > (states,) and model.observations is not None:
         fix += "; the model has only the states of its records: give {state: row} of these"
     what = f"an array of shape {shape} and type {array.dtype} is not a policy of this model"
-    if len(shape) == 2 and shape[0] == model.n_actions and space_of(model, shape[1]):
+    if (
+        len(shape) == 2
+        and shape[0] == model.n_actions
+        and find_table_space(model.space, shape[1], model.forced)
+    ):
         what = f"an array of shape {shape} has a row for each action: it is the wrong way round"
     return ModelError(what, where="policy", fix=fix)
 
@@ -421,25 +425,6 @@ def _unit_roundoff(numbers: Floats) -> float:
     return 2.0**-24
 
 
-def space_of(model: MDP, rows: int) -> StateSpace | None:
-    """Return the states that a table with `rows` rows is over; None if no states fit.
-
-    These are all states; or all without some of the extra states, if these have no choice; or the
-    states without the time, if that is the first column.
-    """
-    space = model.space
-    if rows == space.size:
-        return space
-    if space.untimed is not None:
-        for untimed in (space.untimed, StateSpace(columns=space.untimed.columns)):
-            if rows == untimed.size:
-                return untimed
-        return None
-    if not space.regular <= rows < space.size or not model.forced[space.regular :].all():
-        return None
-    return StateSpace(columns=space.columns, extra=space.extra[: rows - space.regular])
-
-
 def space_over(model: MDP, names: Collection[str]) -> StateSpace:
     """Return the space over some columns; the model's own space if all columns are named."""
     if set(names) >= set(model.space.names):
@@ -483,7 +468,7 @@ def action_numbers(model: MDP, given: Numbers) -> Parts:
     numbers = flatten_times(model, np.asarray(given))
     space = None
     if numbers.ndim == 1:
-        space = space_of(model, len(numbers))
+        space = find_table_space(model.space, len(numbers), model.forced)
     if space is None or numbers.dtype.kind not in "iu":
         raise _no_policy(model, numbers)
     inside = (numbers >= 0) & (numbers < model.n_actions)

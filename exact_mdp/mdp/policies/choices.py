@@ -28,8 +28,7 @@ from exact_mdp.mdp.forms.names import integer_of, is_number
 from exact_mdp.mdp.forms.numbers import convert_tensors, refuse_masked
 from exact_mdp.mdp.io.files import LARGE, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.formats import POLICIES, Format, find_format, join_endings, split_part
-from exact_mdp.mdp.io.npz import read_array
-from exact_mdp.mdp.io.structured import csv_of, json_of
+from exact_mdp.mdp.io.structured import csv_of, json_of, read_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import (
     Parts,
@@ -41,11 +40,11 @@ from exact_mdp.mdp.policies.arrays import (
     warn_unread,
 )
 from exact_mdp.mdp.policies.tables import (
-    array_of_lists,
     find_part,
     is_number_text,
     parse_digits,
     parse_key,
+    parse_lists,
     parse_number,
     read_lines,
     read_table,
@@ -482,7 +481,7 @@ def read_policy_json(model: MDP, path: str | Path, *, kind: str) -> Parts:
     content = json_of(read_text(file), file, parse_float=str, parse_int=parse_digits)
     content = find_part(content, name, file)
     if isinstance(content, list):
-        return of_given_array(model, array_of_lists(content), kind)
+        return of_given_array(model, numbers_of(parse_lists(content)), kind)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):
         first = "0"
@@ -516,7 +515,7 @@ def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
     table = read_table(model, lines, comment)
     if isinstance(table, dict):
         return of_mapping(model, table, kind)
-    return of_given_array(model, table, kind)
+    return of_given_array(model, numbers_of(table), kind)
 
 
 def _read_long_q_table(model: MDP, text: str, places: Sequence[int], kind: str) -> Parts:

@@ -28,7 +28,7 @@ from exact_mdp.mdp.errors import ModelError, locate_errors, once_each
 from exact_mdp.mdp.forms.names import integer_of
 from exact_mdp.mdp.io.structured import csv_of, find_separator
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import numbers_of, space_of
+from exact_mdp.mdp.space import find_table_space
 from exact_mdp.mdp.table import Numbers, exact
 
 WHOLE = re.compile(r"\s*-?(0|[1-9]\d{0,17})\s*", re.ASCII)
@@ -99,7 +99,7 @@ def read_lines(text: str, *, spaces: bool) -> tuple[list[Line], list[str]]:
 
 
 def read_table(model: MDP, lines: Sequence[Line], comment: Sequence[str] = ()) -> Any:
-    """Return the array of a table, or {state: row} if it has a column of states."""
+    """Return the rows of a table, or {state: row} if it has a column of states."""
     if not lines:
         raise ModelError("the table has no rows", fix="give a row for each state")
     header, lines = _split_header(model, lines, comment)
@@ -129,7 +129,7 @@ def read_table(model: MDP, lines: Sequence[Line], comment: Sequence[str] = ()) -
         ]
     if labelled:
         return once_each(zip(map(parse_key, first), table, strict=True), str)
-    return numbers_of(table)
+    return table
 
 
 def _split_header(
@@ -153,7 +153,10 @@ def _split_header(
         if not model.space.lookup.can_find(parse_key(first[0])):
             return first, lines[1:]
     elif first == numbered:
-        fits = [space_of(model, len(lines) - above) is not None for above in (0, 1)]
+        fits = []
+        for above in (0, 1):
+            space = find_table_space(model.space, len(lines) - above, model.forced)
+            fits.append(space is not None)
         if all(fits):
             raise ModelError(
                 f"the first line is {','.join(first)}: it may number the actions, or hold values",
@@ -203,10 +206,11 @@ def _list_tables(content: Any, name: str) -> Iterator[tuple[str, list[Any]]]:
         yield name, content
 
 
-def array_of_lists(content: list[Any]) -> Numbers:
-    """Return nested lists from JSON as an array; numbers with a point are texts there."""
+def parse_lists(content: list[Any]) -> list[Any]:
+    """Return nested lists of numbers from JSON, in which numbers with a point are texts."""
     array: Numbers = np.array(content, dtype=object)
     for place, number in np.ndenumerate(array):
         if isinstance(number, str):
             array[place] = exact(number)
-    return numbers_of(array.tolist())
+    nested: list[Any] = array.tolist()
+    return nested

@@ -54,7 +54,7 @@ class Questions(Parts):
         ----------
         label : str
             One of `labels`, or an expression over labels and state variables, "x=3 & y>1": see
-            `mdp.questions.expressions`.
+            `mdp.questions.ending`.
         allowed : str, optional
             The label of the states that a run may pass through; all by default. From any other
             state without the first label the probability is 0.

@@ -19,8 +19,7 @@ from typing import Any
 from exact_mdp.mdp.components import REST, cancel_common_divisor, with_components
 from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.forms.names import find_free_name
-from exact_mdp.mdp.questions.ending import find_labelled_states, make_terminal
-from exact_mdp.mdp.questions.expressions import is_expression
+from exact_mdp.mdp.questions.ending import find_labelled_states, is_expression, make_terminal
 from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.questions.terminal_values import read_terminal_values, require_unpaid
 from exact_mdp.mdp.table import multiply

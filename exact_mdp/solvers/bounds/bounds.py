@@ -23,9 +23,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from exact_mdp.mdp.advice import require_termination
 from exact_mdp.mdp.graph import find_least_successors
 from exact_mdp.mdp.model import MDP, cache_on_model
+from exact_mdp.mdp.questions.advice import require_termination
 from exact_mdp.mdp.table import COMPILED, Floats, Integers, concatenate_ranges
 from exact_mdp.solvers.bounds.gains import (
     FEW,

@@ -1,22 +1,26 @@
-"""Five textbook algorithms, each as its loop, its step and its stopping rule.
+"""Six textbook algorithms, each as its loop, its step and its stopping rule.
 
     value iteration              V ← T V,   (T V)(s) = max over pairs l of s of r(l) + γ P_l V
     Gauss-Seidel                 the same, state after state, up and down their numbers in turn
     modified policy iteration    π greedy for V,   V ← (T_π)^m V
     policy iteration             π greedy for V,   V ← (I - γ P_π)⁻¹ r_π
     backward induction           V(s) ← (T V)(s) once, from the end to the start, without cycles
+    policy iteration             π greedy for (d(g), r - g + d(h), d(w) - h), in this order, with
+      for averages               d(x) = P x - x and the gain g, bias h, and w of the policy
 
-Every loop begins with a pass over all pairs, which gives T V - V, a greedy policy and two-sided
-bounds on V*; it stops when these are proven to be within the tolerance (`stopping`), and answers
-with the middle between them. Sources: Puterman, Markov Decision Processes, 1994, sections 4.5 and
-6.3 to 6.5; Puterman and Shin, Management Science 24, 1978; Howard, Dynamic Programming and Markov
-Processes, 1960.
+Every loop for totals begins with a pass over all pairs, which gives T V - V, a greedy policy and
+two-sided bounds on V*; it stops when these are proven to be within the tolerance
+(`base.StoppingRule`), and answers with the middle between them. Sources: Puterman, Markov Decision
+Processes, 1994, sections 4.5, 6.3 to 6.5, 9.2.1 and 10.3; Puterman and Shin, Management Science 24,
+1978; Howard, Dynamic Programming and Markov Processes, 1960.
 """
 
 from __future__ import annotations
 
+import warnings
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from time import perf_counter
 from typing import Any, ClassVar
 
@@ -24,18 +28,27 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import bound_optimal_values, solve_backward
-from exact_mdp.solvers.claims import SolverError, Status
+from exact_mdp.solvers.bounds.gains import (
+    POLICIES,
+    RELATIVE_TOLERANCE,
+    BoundedVector,
+    choose_greedy_pairs,
+    compute_advantages,
+)
+from exact_mdp.solvers.claims import PrecisionWarning, SolverError, Status
 from exact_mdp.solvers.dynamic.base import (
     Solver,
+    StoppingRule,
     check_counts,
     check_tolerance,
     conclude_solution,
+    read_start_values,
 )
 from exact_mdp.solvers.dynamic.evaluation import PolicyEvaluation
-from exact_mdp.solvers.dynamic.start import read_start_values
-from exact_mdp.solvers.dynamic.stopping import StoppingRule
 from exact_mdp.solvers.dynamic.values import PATIENCE, Values
+from exact_mdp.solvers.endless.chain import FloatChain, compute_laurent_expansion
 from exact_mdp.solvers.solution import Solution
 
 
@@ -253,3 +266,81 @@ class BackwardInduction(Solver):
         return conclude_solution(
             model, self, bounds, status=Status.DIRECT, iterations=1, started=started
         )
+
+
+# ---- average rewards -----------------------------------------------------------------------------
+
+# 1 - γ of the discounted model whose optimal policy is the first one. The smaller, the nearer that
+# policy is to the optimum, and the longer it takes to find.
+NEARNESS = Fraction(1, 2**12)
+
+Improved = tuple[Integers, Floats, int]
+"""The pairs (S,) of a policy, relative values (S,), and iterations."""
+
+
+@dataclass(frozen=True)
+class AveragePolicyIteration:
+    """Howard's policy iteration for average rewards, with g, h and w of each policy.
+
+    A policy is improved in the order of (d(g), r - g + d(h), d(w) - h): a better gain first, then
+    a better bias (Puterman, 1994, section 9.2.1; Howard, 1960).
+    """
+
+    max_iterations: int = POLICIES
+
+    def run(self, step: MDP, pairs: Integers | None = None) -> Improved:
+        """Return a policy that is optimal up to rounding, from `pairs` (S,) or a patient policy."""
+        if pairs is None:
+            pairs = _choose_patient_pairs(step)
+        seen: set[bytes] = set()
+        before: tuple[Floats, Floats] | None = None
+        for iteration in range(1, self.max_iterations + 1):
+            seen.add(pairs.tobytes())
+            # Evaluate the policy: its gain g with bounds, its bias h, and w.
+            chain = FloatChain(step, pairs)
+            _, bias, second = compute_laurent_expansion(chain, step.reward[pairs])
+            added = compute_advantages(step, bias)
+            own = BoundedVector(value=added.value[pairs], error=added.error[pairs])
+            gain = chain.bounded_gain(own)
+            # Stop once neither the gain nor the bias rises by more than rounding.
+            if before is not None and not self._has_risen(before, gain, bias):
+                return pairs, bias, iteration
+            before = gain.value, bias
+            pairs = self._improve_pairs(step, pairs, gain, bias, second)
+            if pairs.tobytes() in seen:
+                return pairs, bias, iteration
+        raise SolverError(Status.ITERATION_LIMIT, f"{self.max_iterations} policies were evaluated")
+
+    @staticmethod
+    def _has_risen(before: tuple[Floats, Floats], gain: BoundedVector, bias: Floats) -> bool:
+        """Return whether a policy is better than the one before, beyond rounding."""
+        least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
+        gain_rises = (gain.value - before[0] > gain.error).any()
+        return bool(gain_rises or (bias - before[1] > least).any())
+
+    @staticmethod
+    def _improve_pairs(
+        step: MDP, pairs: Integers, gain: BoundedVector, bias: Floats, second: Floats
+    ) -> Integers:
+        """Return pairs (S,) that are greatest in all three levels, in their order."""
+        # Gains that are equal come out of different equations: their whole error counts, not only
+        # the error of their differences.
+        means = compute_advantages(step, gain.value, reward=np.zeros(step.n_pairs))
+        unsure = step.transition @ gain.error + gain.error[step.pair_state]
+        return choose_greedy_pairs(
+            step,
+            replace(means, noise=means.noise + unsure),
+            compute_advantages(step, bias, reward=step.reward - gain.value[step.pair_state]),
+            compute_advantages(step, second, reward=-bias[step.pair_state]),
+            keep=pairs,
+        )
+
+
+def _choose_patient_pairs(step: MDP) -> Integers:
+    """Return the pairs (S,) that are best with a discount near 1, few of which need improving."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)
+        try:
+            return ModifiedPolicyIteration().solve(step.with_(discount=1 - NEARNESS)).pairs
+        except SolverError:  # any policy may be the first
+            return step.pair_offsets[:-1]

@@ -24,8 +24,8 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import PairGraph
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.table import Floats
@@ -39,10 +39,11 @@ from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.dynamic.base import Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram, least_above, own_states
 from exact_mdp.solvers.dynamic.methods import (
+    AveragePolicyIteration,
+    Improved,
     PolicyIteration,
     ValueIteration,
 )
-from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration, Improved
 from exact_mdp.solvers.endless.chain import FloatChain
 from exact_mdp.solvers.endless.quotient import stop_in_components
 from exact_mdp.solvers.solution import Solution, answer_maximised

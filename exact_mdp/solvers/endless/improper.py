@@ -28,8 +28,7 @@ from math import inf
 
 import numpy as np
 
-from exact_mdp.mdp.end_components import PairGraph
-from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.graph import Mask, PairGraph
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import BoundedVector

@@ -16,8 +16,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.end_components import PairGraph
-from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.graph import Mask, PairGraph
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers, OutcomeTable, Rows, make_ones, to_integer_array

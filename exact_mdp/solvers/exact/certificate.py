@@ -20,10 +20,9 @@ from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.graph import Mask, PairGraph
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.io.parts import write_object
 from exact_mdp.mdp.model import MDP
@@ -263,9 +262,8 @@ class Certificate(Proof, Pictured):
         return self.h
 
     def _with_infinite(self, values: Numbers) -> Numbers:
-        extended = values.copy()
-        for sign in (1, -1):
-            extended[self.infinite_sign == sign] = self.sense.orient(sign * inf)
+        extended, infinite = values.copy(), self.infinite_sign != 0
+        extended[infinite] = self.infinite_sign[infinite] * (self.sense.sign * inf)
         extended.setflags(write=False)
         return extended
 

@@ -15,11 +15,11 @@ from typing import Literal, overload
 
 import numpy as np
 
-from exact_mdp.mdp.advice import where_endless
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP, cache_on_model
+from exact_mdp.mdp.questions.advice import where_endless
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.arguments import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.bounds.bounds import margin_weights
@@ -34,7 +34,7 @@ from exact_mdp.solvers.exact.find import build_certificate, prove_gain_and_bias,
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.solution import Solution, answer_maximised
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.total import solve_total
 
 
 @overload
@@ -166,7 +166,7 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     if solution is None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)  # the bounds show the precision
-            solution = solve(mdp)
+            solution = solve_total(mdp)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
         raise ModelError(
             "the solution belongs to another model", where="certify", fix="solve this one"

@@ -21,16 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.advice import other_question, ways_out
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.mdp.graph import Mask, find_reachable_states
+from exact_mdp.mdp.graph import Mask, PairGraph, find_reachable_states
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.questions.advice import other_question, ways_out
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.claims import SolverError
-from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration
+from exact_mdp.solvers.dynamic.methods import AveragePolicyIteration
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import compute_laurent_expansion as laurent
 from exact_mdp.solvers.exact.certificate import Certificate

@@ -28,17 +28,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.claims import Certified, Claim, in_float
 from exact_mdp.solvers.exact.certificate import Certificate, Proof
+from exact_mdp.solvers.exact.certify import certify_and_check, prove_total, proven_optimum
+from exact_mdp.solvers.exact.find import prove_gain_and_bias, prove_goal_total
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solution import tabulate_by_state
+from exact_mdp.solvers.solution import answer_maximised, tabulate_by_state
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,3 +129,55 @@ class RegretCertificate(Proof):
         """Return the optimal value of each state, and the value of the policy, exactly."""
         columns: dict[str, Any] = {"optimal": self.optimum.value, "learned": self.value.value}
         return tabulate_by_state(self.mdp, columns)
+
+
+# ---- finding one ---------------------------------------------------------------------------------
+
+# Both proofs are made in the same way: by values alone where every policy of the model ends, else
+# by gain and bias, or with a goal by the proof of where values are infinite (`solvers.exact.find`).
+
+
+def certify_regret(chain: PolicyChain, *, average: bool) -> RegretCertificate:
+    """Return the proof of a policy's regret; raises ModelError as `certify` does."""
+    mdp = chain.mdp
+    find_best = proven_optimum  # the proof that the audit has already found
+    if average:
+        find_best = partial(certify_and_check, criterion="average")
+    best = answer_maximised(mdp, find_best)
+    own = answer_maximised(_isolate_policy(chain), partial(_prove_value, best=best))
+    weights = dict[int, Fraction]()
+    for state in range(mdp.n_states):
+        weights |= chain.exact_weights(state)
+    return RegretCertificate(
+        kind="regret",
+        mdp=mdp,
+        model=fingerprint(mdp),
+        sense=mdp.sense,
+        optimum=best,
+        policy=DrawnPairs.of(weights),
+        value=own,
+        regret=_compute_loss(mdp, best.start_value, own.start_value),
+    )
+
+
+def _isolate_policy(chain: PolicyChain) -> MDP:
+    """Return the model in which the policy's draw, number 0, is the only action of each state."""
+    none = np.zeros(chain.mdp.n_states, dtype=np.int64)
+    return chain.model.with_(pair_action=none, actions=("drawn",))
+
+
+def _prove_value(alone: MDP, best: Certificate) -> Certificate:
+    """Return the proof of a policy's value, by the same rules as the optimum."""
+    if best.infinite is not None:
+        return prove_goal_total(alone)
+    if best.g is not None:
+        return prove_gain_and_bias(alone, best.kind)
+    return prove_total(alone)
+
+
+def _compute_loss(mdp: MDP, best: Fraction | float, own: Fraction | float) -> Fraction | float:
+    """Return the loss of a value against the best one; either may be infinite."""
+    if isinstance(best, Fraction) != isinstance(own, Fraction):
+        best, own = (0.0 if isinstance(x, Fraction) else x for x in (best, own))
+    lost: Fraction | float = mdp.sense.loss(best, own)
+    return lost

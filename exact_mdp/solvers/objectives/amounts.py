@@ -25,10 +25,10 @@ from math import inf
 
 import numpy as np
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.forms.names import find_free_name
+from exact_mdp.mdp.graph import PairGraph
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (

@@ -20,10 +20,9 @@ from collections.abc import Sequence
 from fractions import Fraction
 from math import ceil
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.graph import Mask, find_reachable_states
+from exact_mdp.mdp.graph import Mask, PairGraph, find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.ending import make_terminal
 from exact_mdp.mdp.space import StateSpace

@@ -27,11 +27,10 @@ from functools import cached_property
 
 import numpy as np
 
-from exact_mdp.mdp.advice import ways_out, where_endless
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import Mask, find_reachable_states, find_start_states
+from exact_mdp.mdp.graph import Mask, PairGraph, find_reachable_states, find_start_states
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.questions.advice import ways_out, where_endless
 from exact_mdp.mdp.table import Numbers, to_integer_array
 from exact_mdp.solvers.endless.improper import ImproperPolicies
 from exact_mdp.solvers.endless.quotient import Quotient, extract_components

@@ -12,7 +12,7 @@ pair l (Altman, Constrained Markov Decision Processes, 1999, chapter 3).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
@@ -21,11 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.graph import find_reachable_states
+from exact_mdp.mdp.graph import PairGraph, find_reachable_states
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.advice import ways_out
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact import codec, duals
@@ -40,6 +41,7 @@ from exact_mdp.solvers.exact.linear import compute_expected_visits, evaluate_exa
 from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.objectives.amounts import STOPPED, Objectives
 from exact_mdp.solvers.objectives.simplex import list_unit_vectors
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 Point = tuple[Fraction, ...]
 Weights = Sequence[int] | Sequence[Fraction]
@@ -117,6 +119,35 @@ def flow_under(
     taken = np.flatnonzero(states & (np.array(level.top, dtype=object) != 0))
     visits = Level.from_groups([level.top[s] for s in taken], level.below, level.group[taken])
     return OccupancyMeasure(pairs=pairs[taken], visits=visits)
+
+
+def flow_of(of: Objectives, policy: PolicyLike) -> OccupancyMeasure:
+    """Return the exact occupancy measure of a policy, from which totals are computed."""
+    chain = replace(PolicyChain.of(of.given, policy), mdp=of.ending)
+    if of.reduced:
+        chain = _end_where_nothing_counts(of, chain)
+    visits = chain.exact_visits.to_fractions()
+    uses = {}
+    for state in np.flatnonzero(chain.reached & ~chain.mdp.terminal).tolist():
+        if visits[state]:
+            for pair, share in chain.exact_weights(state).items():
+                uses[pair] = share * visits[state]
+    return OccupancyMeasure.of(of.restrict_visits(uses))
+
+
+def _end_where_nothing_counts(of: Objectives, chain: PolicyChain) -> PolicyChain:
+    """Return a chain that ends where it stays and nothing is counted, if its totals are finite."""
+    ended = of.ending.ends.destination
+    if of.given.goal is None:
+        ended = ended | chain.stays_unrewarded
+    stays = np.flatnonzero(chain.reached & chain.classes.recurrent & ~ended)
+    if len(stays):
+        raise ModelError(
+            "the policy never ends, or misses the goal, and its totals are not finite",
+            where=f"policy, {of.given.space.place(int(stays[0]))}",
+            fix=ways_out(of.given, "take a policy that ends"),
+        )
+    return chain.make_terminal(ended)
 
 
 def evaluate_objectives(of: Objectives, pairs: Integers) -> Attained:

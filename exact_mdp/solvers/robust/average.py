@@ -26,9 +26,8 @@ from functools import cached_property
 
 import numpy as np
 
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.graph import Mask, PairGraph
 from exact_mdp.mdp.table import Floats, Integers, make_ones
 from exact_mdp.solvers.bounds.gains import RELATIVE_TOLERANCE, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem, select_rows

@@ -30,9 +30,9 @@ from functools import cached_property
 
 import numpy as np
 
-from exact_mdp.mdp.advice import where_endless
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.questions.advice import where_endless
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.claims import SolverError, Status

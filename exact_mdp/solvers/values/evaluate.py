@@ -27,13 +27,13 @@ from typing import ClassVar, Literal, overload
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import Mask, find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.advice import ways_out
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats
@@ -46,8 +46,8 @@ from exact_mdp.solvers.arguments import (
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.claims import Bounded, Claim, SolverError, in_float
-from exact_mdp.solvers.solution import Solution, at_start
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.solution import at_start
+from exact_mdp.solvers.total import solve_total
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, PolicyEquations
 from exact_mdp.solvers.values.policy_values import find_policy_values
@@ -217,8 +217,7 @@ class Evaluation(OfPolicy, Pictured):
         alone = mdp.with_(table=table, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=given.chosen, policy=given.policy)
         with suppress(SolverError, ModelError):
-            best: Solution = solve(chain.model)
-            return best.start
+            return solve_total(chain.model).start
         return UNKNOWN
 
     # ---- the spread --------------------------------------------------------------------------

@@ -26,12 +26,12 @@ from math import inf
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
 from exact_mdp.mdp.graph import Mask, find_reachable_nodes, find_start_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
+from exact_mdp.mdp.questions.advice import ways_out
 from exact_mdp.mdp.questions.ending import make_terminal
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
@@ -62,8 +62,6 @@ from exact_mdp.solvers.exact.linear import (
     evaluate_exactly,
     solve_policy_equations,
 )
-from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.totals import OccupancyMeasure
 from exact_mdp.solvers.solution import Valued
 
 
@@ -122,6 +120,11 @@ class PolicyChain:
     def of_policy(cls, mdp: MDP, policy: Policy) -> PolicyChain:
         """Return the chain of a policy that was read for this model."""
         return cls(mdp=mdp, chosen=policy.weights(mdp), policy=policy)
+
+    @classmethod
+    def of_pairs(cls, mdp: MDP, pairs: Integers) -> PolicyChain:
+        """Return the chain of the deterministic policy that takes these pairs (S,)."""
+        return cls(mdp=mdp, chosen=np.bincount(pairs, minlength=mdp.n_pairs).astype(float))
 
     @classmethod
     def held_fixed(cls, mdp: MDP, policy: PolicyLike) -> tuple[PolicyChain, Mask]:
@@ -268,9 +271,10 @@ class PolicyChain:
     @cached_property
     def graph(self) -> sp.csr_array:
         """(S, S) entries where a transition is possible, however rare."""
-        if self.probability.min() > 0:
+        # The rows of a model have an entry for each outcome, even if it underflows to 0; products
+        # with the probabilities of actions may lack it, and the outcomes then have the edges.
+        if self.pure or self.probability.min() > 0:
             return self.transition
-        # Some probabilities underflow to 0 in floats: take the edges from the outcomes.
         moves = np.where(self.mdp.terminal, 0, self.outcomes)
         following = self.table.next[~self.mdp.terminal[self.source]]
         parts = np.ones(len(following)), following, np.append(0, np.cumsum(moves))
@@ -453,6 +457,12 @@ class PolicyChain:
         """The exact chain at discount 1, in which terminal states go on forever."""
         return ExactChain(self.build_bellman_rows(Fraction(1)))
 
+    def over(self, mdp: MDP) -> PolicyChain:
+        """Return the chain in a model with the same pairs: itself, if it is the chain's own."""
+        if mdp is self.mdp:
+            return self
+        return replace(self, mdp=mdp)
+
     def make_terminal(self, states: Mask) -> PolicyChain:
         """Return the chain with some states (S,) made terminal."""
         return replace(self, mdp=make_terminal(self.mdp, states))
@@ -491,35 +501,6 @@ class OfPolicy(Valued):
         size = np.abs(amounts)
         off = doubt @ size + rounding * (used @ size) + (used + doubt) @ component_errors(self.mdp)
         return used @ amounts, off * SLACK
-
-
-def flow_of(of: Objectives, policy: PolicyLike) -> OccupancyMeasure:
-    """Return the exact occupancy measure of a policy, from which totals are computed."""
-    chain = replace(PolicyChain.of(of.given, policy), mdp=of.ending)
-    if of.reduced:
-        chain = _end_where_nothing_counts(of, chain)
-    visits = chain.exact_visits.to_fractions()
-    uses = {}
-    for state in np.flatnonzero(chain.reached & ~chain.mdp.terminal).tolist():
-        if visits[state]:
-            for pair, share in chain.exact_weights(state).items():
-                uses[pair] = share * visits[state]
-    return OccupancyMeasure.of(of.restrict_visits(uses))
-
-
-def _end_where_nothing_counts(of: Objectives, chain: PolicyChain) -> PolicyChain:
-    """Return a chain that ends where it stays and nothing is counted, if its totals are finite."""
-    ended = of.ending.ends.destination
-    if of.given.goal is None:
-        ended = ended | chain.stays_unrewarded
-    stays = np.flatnonzero(chain.reached & chain.classes.recurrent & ~ended)
-    if len(stays):
-        raise ModelError(
-            "the policy never ends, or misses the goal, and its totals are not finite",
-            where=f"policy, {of.given.space.place(int(stays[0]))}",
-            fix=ways_out(of.given, "take a policy that ends"),
-        )
-    return chain.make_terminal(ended)
 
 
 @dataclass(frozen=True, eq=False)

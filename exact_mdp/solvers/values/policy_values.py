@@ -19,7 +19,7 @@ from exact_mdp.solvers.bounds.gains import SLACK, BoundedVector
 from exact_mdp.solvers.claims import PrecisionWarning, SolverError
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.values import NEARLY_ONE
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.total import solve_total
 from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 
 
@@ -47,7 +47,7 @@ def find_policy_values(given: PolicyChain) -> PolicyValues:
     with suppress(ModelError):  # the return may have no limit while the mean return has one
         chain, lost = split_infinite_returns(given)
     if lost:
-        alone = solve(given.model)
+        alone = solve_total(given.model)
         return PolicyValues(chain=given, value=alone.value, error=alone.state_error, settled=False)
     mdp = chain.mdp
     # V = r + γ P V has one solution in states that end surely, and everywhere below discount 1.
@@ -63,7 +63,7 @@ def find_policy_values(given: PolicyChain) -> PolicyValues:
     # The other states lie off the policy's way from the start; a solver may know their values.
     if not known.all():
         with suppress(ModelError, SolverError):
-            alone = solve(given.model)
+            alone = solve_total(given.model)
             value = np.where(known, value, alone.value)
             bound = np.where(known, bound, alone.state_error)
     return PolicyValues(chain=chain, value=value, error=bound)

@@ -16,8 +16,13 @@ from refusal_tables import refused
 from strategies import Rows, models, of_case
 
 from exact_mdp import MDP, Scenario
-from exact_mdp.mdp.advice import other_question, require_termination, ways_out, where_endless
 from exact_mdp.mdp.ends import Ends
+from exact_mdp.mdp.questions.advice import (
+    other_question,
+    require_termination,
+    ways_out,
+    where_endless,
+)
 
 STATES = 5
 QUESTIONS = ("max", "min", "max until", "min until", "min until, maximised", "discounted")

@@ -204,7 +204,7 @@ def test_a_compressed_umb_file_is_unpacked_in_bounds(
 ) -> None:
     path = tmp_path / "model.umb"
     path.write_bytes(gzip.compress(bytes(10**6)))
-    monkeypatch.setattr("exact_mdp.mdp.io.npz.LARGE", 1000)
+    monkeypatch.setattr("exact_mdp.mdp.io.structured.LARGE", 1000)
     refused(lambda: load(path), "more than the", str(path))
 
 

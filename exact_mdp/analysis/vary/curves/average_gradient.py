@@ -34,10 +34,9 @@ from exact_mdp.analysis.vary.curves.pair_slopes import (
     make_tie_error,
     refuse_silence,
 )
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import from_flint, to_flint
-from exact_mdp.mdp.graph import Mask, find_reachable_nodes, find_start_states
+from exact_mdp.mdp.graph import Mask, PairGraph, find_reachable_nodes, find_start_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.row_change import RowChange, transition_entries
 from exact_mdp.mdp.policies.policy import PolicyLike

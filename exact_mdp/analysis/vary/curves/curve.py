@@ -37,7 +37,6 @@ from exact_mdp.analysis.vary.curves.roots import (
 )
 from exact_mdp.analysis.vary.curves.walk import pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
-from exact_mdp.mdp.advice import warn_of_zero_reward
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint, to_flint
@@ -46,6 +45,7 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.choices import of_every_state
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.advice import warn_of_zero_reward
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, format_rational

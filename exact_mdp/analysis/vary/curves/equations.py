@@ -31,9 +31,8 @@ from exact_mdp.analysis.vary.curves.roots import (
     remove_double_roots,
     roots_on,
 )
-from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.exact import to_flint
-from exact_mdp.mdp.graph import find_reachable_states
+from exact_mdp.mdp.graph import PairGraph, find_reachable_states
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,

@@ -45,7 +45,6 @@ from exact_mdp.analysis.vary.curves.pair_slopes import (
 )
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import list_usual_parameters, unit_of
-from exact_mdp.mdp.advice import warn_of_zero_reward
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_list
 from exact_mdp.mdp.exact import from_flint, to_flint
@@ -62,6 +61,7 @@ from exact_mdp.mdp.parametric.row_change import (
     transition_entries,
 )
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.advice import warn_of_zero_reward
 from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, to_common_denominator, to_integer_array

@@ -22,8 +22,8 @@ from exact_mdp import (
 )
 from exact_mdp.analysis.gate import audit as module
 from exact_mdp.analysis.gate.audit import Audit
+from exact_mdp.analysis.gate.criteria import Disagreement
 from exact_mdp.analysis.gate.data.interval import RegretInterval
-from exact_mdp.analysis.gate.reasons import Disagreement
 from exact_mdp.analysis.gate.regret import policy_regret
 from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 

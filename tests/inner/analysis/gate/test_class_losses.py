@@ -13,7 +13,6 @@ from small_models import Chances, given, random_policy, small_model
 from exact_mdp import MDP, check
 from exact_mdp.analysis.gate.class_losses import (
     _find_third_order_losses,
-    chain_of_pairs,
     charge_class_losses,
     compute_exact_row,
     final_class,
@@ -33,20 +32,12 @@ def test_twins_have_the_same_outcomes() -> None:
             assert compute_exact_row(mdp, pair) == (reward, frozenset(row.items()))
 
 
-def test_a_policy_that_takes_pairs() -> None:
-    mdp = small_model(3)
-    rng = np.random.default_rng(0)
-    pairs = np.array([rng.choice(mdp.pairs_of(s)) for s in range(mdp.n_states)])
-    assert chain_of_pairs(mdp, pairs).pairs.tolist() == pairs.tolist()
-    assert chain_of_pairs(mdp, pairs).chosen.dtype == np.float64
-
-
 def test_final_classes_are_the_recurrent_ones_but_ends() -> None:
     for seed in range(12):
         mdp = small_model(seed, leaving=False)
         rng = np.random.default_rng(seed)
         pairs = [int(rng.choice(mdp.pairs_of(s))) for s in range(mdp.n_states)]
-        label = final_class(chain_of_pairs(mdp, np.array(pairs)))
+        label = final_class(PolicyChain.of_pairs(mdp, np.array(pairs)))
         found = {frozenset(np.flatnonzero(label == k).tolist()) for k in {*label.tolist()} - {-1}}
         every = map(frozenset, oracle.classes(oracle.rows_of(mdp, pairs)))
         assert found == {each for each in every if not mdp.terminal[min(each)]}

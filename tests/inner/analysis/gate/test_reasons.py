@@ -8,153 +8,15 @@ from typing import Any
 import numpy as np
 import oracle
 import pytest
-from small_models import given, random_policy, small_model
+from small_models import small_model
 
-from exact_mdp import MDP, Column, Policy, SolverError, StateSpace, check
+from exact_mdp import MDP, Column, Policy, StateSpace, check
 from exact_mdp.analysis.gate.reasons import (
     Representation,
-    action_of,
-    find_policy_disagreements,
-    format_alternatives,
     q_error,
 )
 from exact_mdp.analysis.gate.regret import policy_regret
-from exact_mdp.solvers.bounds.gains import BoundedVector
-from exact_mdp.solvers.claims import Status
-from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
-
-
-@pytest.mark.parametrize("exact", [True, False])
-@pytest.mark.parametrize("discount", [F(1, 2), F(1)])
-def test_each_state_costs_its_gap_as_often_as_it_is_visited(discount: F, exact: bool) -> None:
-    for seed in range(8):
-        mdp = small_model(seed, discount, states=4).with_(sense="min" if seed % 2 else "max")
-        chances = random_policy(mdp, seed, pure=seed % 3 == 0)
-        chain = PolicyChain.of(mdp, given(chances))
-        lost = policy_regret(chain, exact=exact)
-        visits, wrong = find_policy_disagreements(chain, lost)
-        rows = [(s, a, mdp.sense.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
-        best, optimal = oracle.solve_exact(mdp.n_states, rows, discount)
-        law = oracle.mixed(rows, chances)
-        moves = [
-            {} if mdp.terminal[s] else {t: discount * p for t, p in row.items()}
-            for s, _, _, row in law
-        ]
-        often = oracle.visits(dict(mdp.start), moves)
-        assert visits == pytest.approx([*map(float, often)], rel=1e-11)
-        gap = [F(0)] * mdp.n_states
-        for (s, a), chance in chances.items():
-            _, _, r, row = rows[mdp.pair(s, a)]
-            gap[s] += chance * (best[s] - r - discount * oracle.mean(row, best))
-        assert {each.state for each in wrong} == {s for s, g in enumerate(gap) if g}
-        for each in wrong:
-            s = each.state
-            assert each.gap == pytest.approx(float(gap[s]), rel=1e-9)
-            assert each.expected_visits == pytest.approx(float(often[s]), rel=1e-9)
-            assert each.cost == pytest.approx(float(often[s] * gap[s]), rel=1e-9)
-            assert each.label == mdp.space.label(s)
-            assert [*each.optimal] == [mdp.actions[a] for a in sorted(optimal[s])]
-            assert each.learned == action_of(chain, s)
-        order = [(-each.cost, -each.gap, each.state) for each in wrong]
-        assert order == sorted(order)
-        total = sum(each.cost for each in wrong)
-        assert total == pytest.approx(float(lost.at_start.value), rel=1e-9, abs=1e-9)
-
-
-def test_waiting_for_ever_is_charged_to_those_who_wait() -> None:
-    """In state 1 one may stay forever, or leave and earn 4; half of all runs come there."""
-    rows: Any = [
-        (0, 0, [(F(1, 2), 1, 0), (F(1, 2), 2, 1)]),
-        (1, 0, [(1, 1, 0)]),
-        (1, 1, [(1, 2, 4)]),
-        (2, 0, [(1, 2, 0)]),
-    ]
-    mdp = MDP.from_outcomes(rows)
-    chain = PolicyChain.of(mdp, [0, 0, 0])
-    lost = policy_regret(chain)
-    visits, (only,) = find_policy_disagreements(chain, lost)
-    assert lost.at_start.value == 2
-    assert visits[:2].tolist() == [1, inf]
-    assert (only.state, only.gap, only.cost, only.expected_visits) == (1, 4, 2, inf)
-    assert only.optimal == ("1",)
-    seldom = PolicyChain.of(mdp.with_(start={0: F(1, 8), 2: F(7, 8)}), [0, 0, 0])
-    _, (only,) = find_policy_disagreements(seldom, policy_regret(seldom))
-    assert (only.gap, only.cost) == (4, 0.25)
-    elsewhere = PolicyChain.of(mdp.with_(start=2), [0, 0, 0])
-    visits, (only,) = find_policy_disagreements(elsewhere, policy_regret(elsewhere))
-    assert (only.cost, only.expected_visits) == (0, 0)
-
-
-def small_regrets() -> tuple[PolicyChain, Any, Any, Any]:
-    """Return a chain, its regret exactly and in floats, and the visits that it is made of."""
-    mdp = small_model(1, "1/2")
-    chain = PolicyChain.of(mdp, given(random_policy(mdp, 1)))
-    exact, bounded = (policy_regret(chain, exact=each) for each in (True, False))
-    return chain, exact, bounded, find_policy_disagreements(chain, exact)[0]
-
-
-def test_visits_are_found_in_rationals_where_floats_have_few_digits(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    chain, exact, bounded, wanted = small_regrets()
-
-    def unbounded(_: Any) -> Any:
-        raise SolverError(Status.NO_BOUND)
-
-    monkeypatch.setattr(PolicyEquations, "visits", property(unbounded))
-    visits, _ = find_policy_disagreements(chain, exact)
-    assert visits == pytest.approx(wanted, rel=1e-14)
-    assert np.isnan(find_policy_disagreements(chain, bounded)[0][chain.reached]).all()
-
-
-def test_visits_in_floats_count_if_they_are_right_to_2_to_the_40(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    chain, exact, bounded, wanted = small_regrets()
-    near = wanted + np.where(wanted == wanted.max(), 2 - wanted.max(), 0.0)  # the greatest is 2
-    for error, kept in ((2.0**-39, True), (2.0**-38.5, False)):
-        visits = BoundedVector(value=near, error=np.full(len(near), error))
-        monkeypatch.setattr(PolicyEquations, "visits", property(lambda _, visits=visits: visits))
-        found = find_policy_disagreements(chain, exact)[0]
-        assert found == pytest.approx(near if kept else wanted, rel=1e-14)
-        assert find_policy_disagreements(chain, bounded)[0].tolist() == near.tolist()
-
-
-def test_what_is_not_met_costs_nothing_and_comes_in_order_of_its_gap() -> None:
-    """Gaps may be infinite there, and of actions that are not taken."""
-    rows: Any = [(s, a, [(1, 6, s % 3 * a)]) for s in range(5) for a in (0, 1)]
-    rows += [(5, 0, [(1, 5, 1)]), (5, 1, [(1, 6, 0)]), (5, 2, [(1, 5, 1)])]
-    rows += [(6, 0, [(1, 6, 0)]), (7, 0, [(1, 7, -1)]), (4, 2, [(1, 7, 0)])]
-    mdp = MDP.from_outcomes(rows, start=6)
-    for last, first in (([1, 1, 1], [(5, inf), (2, 2), (1, 1)]), ([2, 0, 0], [(4, inf), (2, 2)])):
-        chain = PolicyChain.of(mdp, [0, 0, 0, 0, last[0], last[1], 0, 0])
-        _, wrong = find_policy_disagreements(chain, policy_regret(chain))
-        assert [(each.state, each.gap) for each in wrong][: len(first)] == first
-        assert [each.cost for each in wrong] == [0] * len(wrong)
-        assert {each.expected_visits for each in wrong} == {0}
-    one = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 0, 0)])], "1/2")
-    alone = PolicyChain.of(one, [1])
-    _, (only,) = find_policy_disagreements(alone, policy_regret(alone))
-    assert (only.gap, only.expected_visits, only.cost) == (1, 2, 2)
-
-
-def test_names_of_actions_in_a_state() -> None:
-    rows: Any = [(0, a, [(1, 1, a)]) for a in range(6)] + [(1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes(rows, actions=[*"abcdef"])
-
-    def taken(*shares: int) -> str:
-        chances = {"abcdef"[k]: F(share, sum(shares)) for k, share in enumerate(shares) if share}
-        return action_of(PolicyChain.of(mdp, {0: chances}), 0)
-
-    assert taken(0, 0, 1, 0, 0, 0) == "c"
-    assert taken(1, 0, 3, 0, 0, 0) == "0.25 a, 0.75 c"
-    assert taken(1, 1, 2, 0, 0, 4) == "0.125 a, 0.125 b, 0.25 c, 0.5 f"
-    assert taken(1, 1, 1, 1, 1, 1) == "any of 6"
-    assert taken(1, 1, 1, 1, 1, 0) == "any of 5"
-    assert taken(1, 2, 3, 4, 6, 0) == "0.375 e, 0.25 d, 0.1875 c, 2 others"
-    assert format_alternatives(["a"]) == "a"
-    assert format_alternatives([*"abcd"]) == "a or b or c or d"
-    assert format_alternatives([*"abcde"]) == "a or b or c or 2 others"
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 def test_errors_of_a_table_are_those_of_states_with_a_choice() -> None:

@@ -215,7 +215,7 @@ def test_pairs_lose_if_their_least_gap_is_more_than_a_tie_allows() -> None:
             ]
             mdp = MDP.from_outcomes([*rows[:-2], (2, 0, [(kind(1), 2, kind(1.5))])], discount)
             optimum = bounded_optimum(mdp)
-            ideal = module.chain_of_pairs(mdp, optimum.pairs)
+            ideal = PolicyChain.of_pairs(mdp, optimum.pairs)
             known = BoundedVector(value=optimum.value, error=optimum.state_error)
             tie = module.compute_tie_gaps(ideal, known)
             for times in (-1.0, 0.0, 0.01, 0.9, 1.0, 1.5, 1e3, 1e9):
@@ -241,7 +241,7 @@ def test_bounds_of_the_optimum_are_made_narrow_if_the_solver_stopped_early(
                     calls.append(1)
                     super().__init__(**of)
 
-            monkeypatch.setattr(module, "solve", lambda _, early=early: early)
+            monkeypatch.setattr(module, "solve_total", lambda _, early=early: early)
             monkeypatch.setattr(module, "PolicyIteration", Counted)
             bounds = bounded_optimum(replace(mdp))
             assert bounds.error <= 2.0**-36 * abs(bounds.value).max()

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from refusal_tables import refused
 
@@ -34,6 +35,7 @@ from exact_mdp.analysis.vary.ranges import (
     make_range_around,
     range_of,
     ranges_of,
+    read_points,
     read_ranges,
     restrict_range,
     spans_of,
@@ -327,3 +329,27 @@ def test_what_varies_together_has_a_range_and_is_not_the_discount() -> None:
     assert of(["zero", "p"], None, "1/2") == {"p": (F(1, 4), F(3, 4))}
     call = partial(spans_of, MODEL, ["zero"])
     refused(call, "=no parameter has a range", "=model", "=state a range")
+
+
+def test_points_are_checked_by_column_and_draw() -> None:
+    family = Family(
+        parameters=(Parameter(name="p", value="1/2", low=0, high=1), Parameter(name="r", value=0)),
+        build=lambda values: MDP.from_arrays([[[1]]], [0], "1/2"),
+    )
+    points = read_points(family, {"r": [-(10.0**6), 2.0], "p": [0.0, 1.0]})
+    assert points.tolist() == [[-(10.0**6), 0.0], [2.0, 1.0]]
+    assert read_points(family, {"p": ["1/3", 1]}).tolist() == [[Fraction(1, 3)], [Fraction(1)]]
+    for table, what, where in (
+        ({"p": [0.5, 1.5]}, "p is 1.5, outside [0, 1]", "draw 1"),
+        ({"p": [-0.5, 1]}, "p is -0.5, outside [0, 1]", "draw 0"),
+        ({"p": []}, "no row", "points"),
+        ({"p": [0.5], "r": [1.0, 2.0]}, "columns of shape (1,), (2,)", "points"),
+        ({"p": [[0.5]]}, "columns of shape (1, 1)", "points"),
+        ({}, "columns of shape none", "points"),
+        ({"p": [0.5, np.nan]}, "p is nan, not a finite number", "draw 1"),
+        ({"r": [0.5, 1, -np.inf]}, "r is -inf, not a finite number", "draw 2"),
+        ({1: [0.5]}, "1 is of type int", "points"),
+    ):
+        with pytest.raises(ModelError) as caught:
+            read_points(family, table)  # type: ignore[arg-type]
+        assert (caught.value.what, caught.value.where) == (what, where)

@@ -13,7 +13,7 @@ import pytest
 from oracle import best_average, gain_and_bias, mean, policies, policy_values, rows_of
 from refusal_tables import refused
 
-from exact_mdp import MDP, Family, Parameter, Scenario, parametric, solve, study
+from exact_mdp import MDP, Family, Scenario, parametric, solve, study
 from exact_mdp.analysis.vary.study import (
     CareSolver,
     ModelSolver,
@@ -22,7 +22,6 @@ from exact_mdp.analysis.vary.study import (
     finite_optimum,
     finite_worth,
     hash_policies,
-    read_points,
     require_room_for_points,
     solver_of,
 )
@@ -698,30 +697,6 @@ def test_scenarios_of_six_statuses_and_127_actions_are_solved_by_their_rules(
 
 
 # ---- what is refused -----------------------------------------------------------------------------
-
-
-def test_points_are_checked_by_column_and_draw() -> None:
-    family = Family(
-        parameters=(Parameter(name="p", value="1/2", low=0, high=1), Parameter(name="r", value=0)),
-        build=varied,
-    )
-    points = read_points(family, {"r": [-(10.0**6), 2.0], "p": [0.0, 1.0]})
-    assert points.tolist() == [[-(10.0**6), 0.0], [2.0, 1.0]]
-    assert read_points(family, {"p": ["1/3", 1]}).tolist() == [[F(1, 3)], [F(1)]]
-    for table, what, where in (
-        ({"p": [0.5, 1.5]}, "p is 1.5, outside [0, 1]", "draw 1"),
-        ({"p": [-0.5, 1]}, "p is -0.5, outside [0, 1]", "draw 0"),
-        ({"p": []}, "no row", "points"),
-        ({"p": [0.5], "r": [1.0, 2.0]}, "columns of shape (1,), (2,)", "points"),
-        ({"p": [[0.5]]}, "columns of shape (1, 1)", "points"),
-        ({}, "columns of shape none", "points"),
-        ({"p": [0.5, np.nan]}, "p is nan, not a finite number", "draw 1"),
-        ({"r": [0.5, 1, -np.inf]}, "r is -inf, not a finite number", "draw 2"),
-        ({1: [0.5]}, "1 is of type int", "points"),
-    ):
-        with pytest.raises(ModelError) as caught:
-            read_points(family, table)  # type: ignore[arg-type]
-        assert (caught.value.what, caught.value.where) == (what, where)
 
 
 def test_room_ends_at_the_most_bytes() -> None:

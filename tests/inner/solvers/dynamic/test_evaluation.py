@@ -5,7 +5,8 @@ import pytest
 import scipy.sparse as sp
 
 from exact_mdp import MDP
-from exact_mdp.solvers.dynamic import bellman_pass, evaluation
+from exact_mdp.solvers.dynamic import evaluation
+from exact_mdp.solvers.dynamic import values as module
 from exact_mdp.solvers.dynamic.evaluation import PolicyEvaluation
 from exact_mdp.solvers.dynamic.values import Values
 
@@ -38,7 +39,7 @@ def test_a_goal_of_zero_gives_the_values_of_the_policy(
     large: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if large:
-        monkeypatch.setattr(bellman_pass, "COMPILED", 0)
+        monkeypatch.setattr(module, "COMPILED", 0)
     for seed in range(10):
         values = begin(seed)
         pairs = values.search.pairs.copy()
@@ -49,7 +50,7 @@ def test_a_goal_of_zero_gives_the_values_of_the_policy(
 
 @pytest.mark.parametrize("cached", [10**9, 0])
 def test_sweeps_reach_the_goal(cached: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bellman_pass, "COMPILED", 0)
+    monkeypatch.setattr(module, "COMPILED", 0)
     monkeypatch.setattr(evaluation, "CACHED", cached)
     for goal in (1e-1, 1e-4, 1e-8):
         values = begin(3)
@@ -65,7 +66,7 @@ def test_sweeps_reach_the_goal(cached: int, monkeypatch: pytest.MonkeyPatch) -> 
 def test_chains_that_mix_slowly_are_relaxed_until_their_equations_are_due(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(bellman_pass, "COMPILED", 0)
+    monkeypatch.setattr(module, "COMPILED", 0)
     monkeypatch.setattr(evaluation, "sweep_system", lambda *given: (given[3], False))
     values = begin(5)
     step, called = PolicyEvaluation(values), list[str]()

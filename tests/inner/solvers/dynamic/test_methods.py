@@ -1,4 +1,6 @@
-"""Steps of the textbook: sweeps, evaluations, and one pass without cycles."""
+"""Steps of the textbook: sweeps, evaluations, one pass without cycles, and averages."""
+
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from exact_mdp import (
     SolverError,
     ValueIteration,
 )
+from exact_mdp.solvers.dynamic.methods import AveragePolicyIteration
 
 RNG = np.random.default_rng(4)
 ROWS, REWARD = RNG.dirichlet(np.ones(5), (3, 5)), RNG.normal(size=(5, 3))
@@ -65,3 +68,14 @@ def test_backward_induction_counts_back_from_the_end() -> None:
     assert found.policy.rule.tolist()[:8] == [0] * 8
     with pytest.raises(ModelError, match="without cycles"):
         BackwardInduction().solve(RING)
+
+
+def test_improvement_begins_anywhere_and_ends_at_the_best() -> None:
+    rng = np.random.default_rng(2)
+    rows = rng.dirichlet(np.ones(4), (2, 4))
+    rows[:, :2, 2:] = 0  # {0, 1} is never left
+    rows /= rows.sum(axis=2, keepdims=True)
+    mdp = MDP.from_arrays(rows, rng.normal(size=(4, 2)), 1)
+    best = AveragePolicyIteration().run(mdp)[0].tolist()
+    for pairs in product(*(mdp.pairs_of(s) for s in range(4))):
+        assert AveragePolicyIteration().run(mdp, np.array(pairs))[0].tolist() == best

@@ -6,7 +6,7 @@ import numpy as np
 from oracle import every_policy_ends, rows_of
 
 from exact_mdp import MDP
-from exact_mdp.mdp.end_components import PairGraph
+from exact_mdp.mdp.graph import PairGraph
 from exact_mdp.solvers.endless.quotient import (
     build_quotient,
     choose_first_pairs,

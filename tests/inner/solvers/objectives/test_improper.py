@@ -14,8 +14,7 @@ from oracle import each_choice, fixed_point, rows_of
 from exact_mdp import MDP, ModelError, Policy, check, rationalize, solve, tradeoff
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.totals import OccupancyMeasure, evaluate_objectives
-from exact_mdp.solvers.values.policy_chain import flow_of
+from exact_mdp.solvers.objectives.totals import OccupancyMeasure, evaluate_objectives, flow_of
 
 NAMES = ["a", "b"]
 Totals = tuple[F, ...] | None  # of a policy; None if they are not finite

@@ -1,18 +1,22 @@
 """Policies by several totals at once: each is evaluated alone, and all of them are tried."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
-from oracle import policy_values, rows_of
+from oracle import mixed, policy_values, rows_of, visits
+from small_models import given, random_policy, small_model
 
-from exact_mdp import MDP
+from exact_mdp import MDP, ModelError
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import (
     OccupancyMeasure,
     evaluate_objectives,
     find_extreme_policy,
+    flow_of,
     flow_under,
     solve_weighted,
 )
@@ -83,3 +87,61 @@ def test_a_flow_gives_the_chances_of_a_policy() -> None:
     flow = OccupancyMeasure.of({1: F(1, 2), 0: F(3, 2), 4: F(5)})
     assert flow.to_numbers() == {0: F(3, 2), 1: F(1, 2), 4: F(5)}
     assert flow.compute_action_probabilities(of) == {0: {0: F(3, 4), 1: F(1, 4)}, 2: {4: F(1)}}
+
+
+@pytest.mark.parametrize("kind", [{}, {"falling": True}])
+def test_flows_of_a_policy_are_the_visits_of_its_pairs(kind: dict[str, Any]) -> None:
+    for seed in range(6):
+        mdp = small_model(seed, 1, **kind)
+        chances = random_policy(mdp, seed, pure=seed % 3 == 0)
+        of, law = Objectives(mdp, ["reward"]), mixed(rows_of(mdp), chances)
+        moves = [{} if mdp.terminal[s] else row for s, _, _, row in law]
+        often = visits(dict(mdp.start), moves)
+        wanted = {
+            mdp.pair(s, a): often[s] * chance
+            for (s, a), chance in chances.items()
+            if often[s] and not mdp.terminal[s]
+        }
+        flow = flow_of(of, given(chances))
+        assert flow.to_numbers() == wanted
+        start = policy_values(law, F(1), np.flatnonzero(mdp.terminal).tolist())
+        assert flow.compute_totals(of) == (sum(p * start[s] for s, p in mdp.start),)
+
+
+def test_a_flow_ends_where_no_objective_is_earned_any_more() -> None:
+    rows: Any = [
+        (0, 0, [(1, 1, {"a": 1, "b": 2})]),
+        (1, 0, [(1, 1, {"a": 3, "b": 0})]),
+        (2, 0, [(1, 2, {"a": 0, "b": 0})]),
+    ]
+    of = Objectives(MDP.from_outcomes(rows), ["b"])
+    assert flow_of(of, "random").to_numbers() == {0: 1}
+
+
+def test_a_flow_ends_where_a_policy_stays_and_nothing_is_counted() -> None:
+    """Half of all runs come from state 0 to a ring, in which only an event happens."""
+    rows: Any = [
+        (0, 0, [(F(1, 2), 1, -1), (F(1, 2), 3, -1)]),
+        (0, 1, [(1, 4, -1)]),
+        (1, 0, [(1, 2, 0)]),
+        (2, 0, [(1, 1, 0)]),
+        (2, 1, [(1, 3, -3)]),
+        (3, 0, [(1, 3, 0)]),
+        (4, 0, [(1, 4, -1)]),  # loses forever
+        (4, 1, [(1, 3, -1)]),
+    ]
+    mdp = MDP.from_outcomes(rows, labels={"goal": [False, False, False, True, False]})
+    bits = (mdp.table.pair == 2).astype(np.uint8)
+    mdp = mdp.with_(table=replace(mdp.table, event=bits), events=("seen",))
+    leaves, stays, loses = [0, 0, 1, 0, 0], [0, 0, 0, 0, 0], [1, 0, 1, 0, 0]
+    of, until = Objectives(mdp, ["reward"]), Objectives(mdp.negated().until("goal"), ["reward"])
+    assert of.reduced
+    assert until.reduced
+    assert flow_of(of, stays).compute_totals(of) == (-1,)
+    for each in (of, until):
+        assert flow_of(each, leaves).compute_totals(each) == (F(-5, 2),)
+    # To stay in the ring is to miss the goal.
+    for each, policy, place in ((of, loses, 4), (until, loses, 4), (until, stays, 1)):
+        with pytest.raises(ModelError, match="its totals are not finite") as refused:
+            flow_of(each, policy)
+        assert f"state {place}" in str(refused.value)
