@@ -41,69 +41,61 @@ from exact_mdp.mdp.table import (
 from exact_mdp.mdp.validate import Flags, Parts
 
 
-@dataclass(frozen=True)
-class Horizon:
-    """The reward of the first `steps` steps, and the value of the state that they lead to."""
+def ask_horizon(model: Any, steps: int, terminal_value: object = None) -> Any:
+    """Return the model of episodes that stop after some steps, with values of the last states.
 
-    steps: int
-    terminal_value: object = None
+    Raises ModelError if the model has a time already, or its layers are too many.
+    """
+    values = read_terminal_values(terminal_value, model.space)
+    layers, origin = TimeLayers([(model, steps)], values), origin_of(model)
+    # A run that has reached its target is over and earns no terminal value.
+    if model.target is not None:
+        require_unpaid(values, model.target, model.space)
+    if origin is not None and any(each.method == "within" for each in origin.questions):
+        raise ModelError(
+            "the model already stops after a number of steps",
+            where="horizon",
+            fix="leave out the horizon, or ask the model that it was made from",
+        )
+    if TIME in layers.space.names:
+        raise ModelError(
+            f"the model has a column {TIME!r} of its own",
+            where="state space",
+            fix="unroll the model that it was made from, or name that column differently",
+        )
+    if REACHED in model.space.extra and any(values):
+        raise ModelError(
+            "the value is a probability, to which terminal values do not add",
+            where="terminal_value",
+            fix="leave it out",
+        )
+    if REACHED in model.space.extra and not steps:
+        raise ModelError(
+            "without a step nothing is reached, and the label is no longer known",
+            where="horizon",
+            fix="ask the model that it was made from: mdp.within(0).reaching(LABEL)",
+        )
+    layers.require_memory()
+    return _stop_after(layers)
 
-    def _lay_out(self, model: Any) -> TimeLayers:
-        values = read_terminal_values(self.terminal_value, model.space)
-        return TimeLayers([(model, self.steps)], values)
 
-    def require_applicable(self, model: Any) -> None:
-        """Raise ModelError if the model has a time already, or its layers are too many."""
-        layers = self._lay_out(model)
-        # A run that has reached its target is over and earns no terminal value.
-        if model.target is not None:
-            require_unpaid(layers.values, model.target, model.space)
-        origin = origin_of(model)
-        if origin is not None and any(each.method == "within" for each in origin.questions):
-            raise ModelError(
-                "the model already stops after a number of steps",
-                where="horizon",
-                fix="leave out the horizon, or ask the model that it was made from",
-            )
-        if TIME in layers.space.names:
-            raise ModelError(
-                f"the model has a column {TIME!r} of its own",
-                where="state space",
-                fix="unroll the model that it was made from, or name that column differently",
-            )
-        if REACHED in model.space.extra:
-            if any(layers.values):
-                raise ModelError(
-                    "the value is a probability, to which terminal values do not add",
-                    where="terminal_value",
-                    fix="leave it out",
-                )
-            if not self.steps:
-                raise ModelError(
-                    "without a step nothing is reached, and the label is no longer known",
-                    where="horizon",
-                    fix="ask the model that it was made from: mdp.within(0).reaching(LABEL)",
-                )
-        layers.require_memory()
-
-    def apply(self, model: Any) -> Any:
-        """Return the model of episodes that stop."""
-        if not self.steps and any(read_terminal_values(self.terminal_value, model.space)):
-            # One step in which nothing happens earns the terminal values, without discount.
-            waits = np.ones(model.n_states, dtype=bool)
-            still = make_terminal(model, waits, discount_exact=Fraction(1))
-            paid = replace(self, steps=1).apply(still)
-            return replace(paid, discount_exact=model.discount_exact)
-        layers, names = self._lay_out(model), model.component_names
-        table = layers.join_tables()
-        # The last step earns the terminal values.
-        if any(layers.values):
-            run = layers.runs[0]
-            worth = [model.discount_exact * value for value in layers.values]
-            earned = [worth[state] for state in run.table.next]
-            first = (self.steps - 1) * len(run.pairs)
-            names, table = add_terminal_values(table, first, earned, names)
-        return layers.build_model(table, component_names=names)
+def _stop_after(layers: TimeLayers) -> Any:
+    """Return the model of episodes that stop after the steps of one model."""
+    ((model, steps),) = layers.steps
+    if not steps and any(layers.values):
+        # One step in which nothing happens earns the terminal values, without discount.
+        waits = np.ones(model.n_states, dtype=bool)
+        still = make_terminal(model, waits, discount_exact=Fraction(1))
+        paid = _stop_after(TimeLayers([(still, 1)], layers.values))
+        return replace(paid, discount_exact=model.discount_exact)
+    table, names = layers.join_tables(), model.component_names
+    # The last step earns the terminal values.
+    if any(layers.values):
+        (run,) = layers.runs
+        worth = [model.discount_exact * value for value in layers.values]
+        earned = [worth[state] for state in run.table.next]
+        names, table = add_terminal_values(table, (steps - 1) * len(run.pairs), earned, names)
+    return layers.build_model(table, component_names=names)
 
 
 @dataclass(frozen=True, eq=False)
