@@ -6,7 +6,6 @@ fractions or floats.
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.components import REST
-from exact_mdp.mdp.errors import ModelError, require_known_name
+from exact_mdp.mdp.errors import ModelError, require_known_name, warn_user
 from exact_mdp.mdp.forms.names import ByNumber, find_free_name
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.model import MDP
@@ -94,14 +93,14 @@ def build_explicit_model(
     targets: Sequence[int],
     chances: Sequence[Any],
     choice_words: Sequence[str],
-    action_names: Sequence[str],
     words: tuple[str, ...],
     initial: Sequence[int],
     rewards: Mapping[str, Mapping[str, Sequence[Any]]],
     labels: Mapping[str, Flags],
-    reward: str | None,
     discount: object,
     start: object,
+    reward: str | None = None,
+    action_names: Sequence[str] = (),
 ) -> MDP:
     """Return a model of another program; the caller adds what the format lacks, such as a discount.
 
@@ -112,7 +111,7 @@ def build_explicit_model(
     """
 
     def warn_of_file(what: str) -> None:
-        warnings.warn(f"{where}: {what}", stacklevel=4)
+        warn_user(f"{where}: {what}")
 
     if discount is None:
         warn_of_file(

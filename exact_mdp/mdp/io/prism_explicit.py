@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -72,12 +71,10 @@ def read_tra(path: str | Path, *, discount: object = 1, start: object = None) ->
         targets=[to for to, _ in listed],
         chances=[chance for _, chance in listed],
         choice_words=[words[pair] for pair in pairs],
-        action_names=(),
         words=_read_states(path.with_suffix(".sta"), size),
         initial=np.flatnonzero(labels.get(INITIAL, np.arange(size) == 0)).tolist(),
         rewards=_read_rewards(path, pairs, branches, size, nondeterministic=nondeterministic),
         labels=labels,
-        reward=None,
         discount=discount,
         start=start,
     )
@@ -165,14 +162,9 @@ def _read_rewards(
 
 def _split_lines(path: Path) -> list[Row]:
     """Return the lines of a file that are not blank, nor comments, as words."""
-    return [*_each_line(path)] or [(1, [])]
-
-
-def _each_line(path: Path) -> Iterator[Row]:
-    for number, line in enumerate(read_text(path, most=LARGE).split("\n"), 1):
-        words = line.split()
-        if words and not words[0].startswith("#"):
-            yield number, words
+    lines = enumerate(map(str.split, read_text(path, most=LARGE).split("\n")), 1)
+    rows = [(number, words) for number, words in lines if words and words[0][0] != "#"]
+    return rows or [(1, [])]
 
 
 def _parse_whole(text: str, path: Path, line: int, size: int = 2**31) -> int:

@@ -37,7 +37,6 @@ from __future__ import annotations
 import gzip
 import io
 import re
-import warnings
 import zlib
 from collections import Counter
 from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
@@ -59,6 +58,7 @@ from exact_mdp.mdp.errors import (
     require_known_name,
     require_type,
     suggest_name,
+    warn_user,
 )
 from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, one_kind
 from exact_mdp.mdp.io.files import open_file
@@ -181,7 +181,7 @@ class FromTransitions(FromArrays):
         record = count_transitions(frame, columns, progress=progress)
         if record.unused:
             others = ", ".join(map(repr, record.unused))
-            warnings.warn(f"columns that are not used: {others}", stacklevel=2)
+            warn_user(f"columns that are not used: {others}")
         parts = record.build_parts(discount, unseen, costs=Sense.of_options(names).costs)
         if start is not None:
             parts |= {"start": as_start(start, parts["space"]), "episodes": None}
@@ -670,10 +670,9 @@ class TransitionRecord:
             return
         number = count[np.isin(ENDED - keys[:, 2], keys[:, 0]) & (keys[:, 2] <= ENDED)].sum()
         if number:
-            warnings.warn(
+            warn_user(
                 f"{number:,} rows of {self.where} are done in states that other rows leave, and "
-                "count as ends; if a time limit cut some off, mark them in a column 'truncated'",
-                stacklevel=4,
+                "count as ends; if a time limit cut some off, mark them in a column 'truncated'"
             )
 
     def build_parts(
