@@ -38,7 +38,6 @@ from math import prod
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, join_few, locate_errors, no_such, warn_user
 from exact_mdp.mdp.forms.names import integer_of
@@ -47,8 +46,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.horizon import flatten_times
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, to_python_number
+from exact_mdp.mdp.validate import Flags
 
-Flags = NDArray[np.bool_]
 KINDS = ("auto", "q", "policy")
 SAY = (
     'say which, since the answers differ: Policy.of(model, array, kind="policy") or kind="q"; in '
