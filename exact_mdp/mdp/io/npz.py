@@ -106,8 +106,8 @@ PARAMETER = {
     "value": parse_rational,
     "low": or_null(parse_rational),
     "high": or_null(parse_rational),
+    "unit": or_null(str),
 }
-PARAMETER["unit"] = or_null(str)
 HEADER = PARTS | {
     "actions": [str],
     "component_names": [str],
@@ -404,7 +404,9 @@ def _read_archive(
             refuse_size(size, most, table=bool(alone))
             arrays = {}
             for name, each in members.items():
-                arrays[name] = _parse_npy(_unpack_member(archive, each))
+                # In pieces, so that it cannot exceed its stated size.
+                with archive.open(each) as member:
+                    arrays[name] = _parse_npy(b"".join(iter(partial(member.read, PIECE), b"")))
             return arrays
     except (ModelError, OSError):
         raise
@@ -413,12 +415,6 @@ def _read_archive(
             "not a readable NumPy array, or an archive of these: damaged, or with Python objects",
             fix="save it again, with numbers only",
         ) from error
-
-
-def _unpack_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Return the content of a member, read in pieces, so that it cannot exceed its stated size."""
-    with archive.open(member) as file:
-        return b"".join(iter(partial(file.read, PIECE), b""))
 
 
 def _parse_npy(content: bytes) -> Numbers:

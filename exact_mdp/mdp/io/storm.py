@@ -87,9 +87,12 @@ def read_program(
         return build_explicit_model(shown_text(str(path)), name=Path(path).stem, **content)
 
 
-read_prism, read_jani, read_drn = (
-    partial(read_program, language) for language in ("prism", "jani", "drn")
-)
+read_prism, read_jani = partial(read_program, "prism"), partial(read_program, "jani")
+
+
+def read_drn(path: str | Path, *, discount: object = 1, start: object = None) -> MDP:
+    """Return the model of an explicit file of Storm, which has no constants."""
+    return read_program("drn", path, discount=discount, start=start)
 
 
 def read_storm_model(model: Any, *, discount: object = 1, start: object = None) -> MDP:

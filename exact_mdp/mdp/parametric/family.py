@@ -339,7 +339,10 @@ def moving(
     moved = []
     for name, listed in entries.items():
         places = _find_entries(model, listed, f"parameter {name}")
-        values = {_find_probability(model, pair, state) for pair, state in places}
+        values = set[Fraction]()
+        for pair, state in places:
+            row = model.table.row(pair)
+            values.add(sum((p for p, following, _ in row if following == state), Fraction(0)))
         if len(values) != 1:
             raise ModelError(
                 f"{len(values)} different probabilities",
@@ -587,8 +590,3 @@ def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fra
         parameter_of(model, name).check(number)
     today = {parameter.name: parameter.value for parameter in model.parameters}
     return {name: number for name, number in numbers.items() if number != today[name]}
-
-
-def _find_probability(mdp: MDP, pair: int, state: int) -> Fraction:
-    """Return the probability of a next state."""
-    return sum((p for p, following, _ in mdp.table.row(pair) if following == state), Fraction(0))
