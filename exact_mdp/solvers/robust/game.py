@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask, PairGraph, find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
