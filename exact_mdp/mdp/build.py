@@ -16,7 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.components import each_component, named_components, require_length
 from exact_mdp.mdp.errors import ModelError, ShapeError, words_of
@@ -35,7 +35,7 @@ from exact_mdp.mdp.forms.numbers import (
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, concatenate_ranges, exact
-from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
+from exact_mdp.mdp.validate import COUNTED, Flags, Parts, as_discount, as_start, check_options
 
 # An action number from here on, without names for the actions, is more likely a typing error, and a
 # name for each smaller number would fill the memory.
@@ -44,8 +44,6 @@ ACTIONS_LAST = "ssa"
 LAYOUTS = {"ass": 1, "sas": 0}
 """The two orders of the indices of P, "action, state, next state" and "state, action, next state",
 and the place of the state in each."""
-
-Flags = NDArray[np.bool_]
 
 
 class FromArrays(Parts):

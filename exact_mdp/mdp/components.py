@@ -288,6 +288,48 @@ def _by_pair_if_alike(values: Numbers, table: OutcomeTable) -> tuple[Numbers, Nu
     return group_numbers(values, table.offsets)
 
 
+def align_tables(tables: Sequence[OutcomeTable]) -> Sequence[OutcomeTable]:
+    """Return tables whose numbers are of one kind: floats or integers, by pair or by outcome."""
+    if len(tables) == 1:
+        return tables
+    floats = all(table.weight.dtype == np.float64 for table in tables)
+    sound = all(table.rows.sound for table in tables)
+    events = any(table.event is not None for table in tables)
+    parts = [table.components.shape[1] for table in tables if table.components is not None]
+    columns = [_align_rewards(tables)]
+    for number in range(max(parts, default=0)):
+        columns.append(_align_rewards([table.with_component_reward(number) for table in tables]))
+    aligned = []
+    for table, (gain, below), *amounts in zip(tables, *columns, strict=True):
+        event, rows = table.event, replace(table.rows, sound=sound)
+        if not floats:
+            weight, bottom = table.rows.integers
+            rows = replace(table.rows, weight=weight, denominator=bottom)
+        if events and event is None:
+            event = np.zeros(len(table.next), dtype=np.uint8)
+        own = OutcomeTable(rows=rows, gain=gain, gain_denominator=below, event=event)
+        if amounts:
+            own = with_components(own, amounts)
+        averaged = any(each.averaged for each in tables)
+        aligned.append(replace(own, averaged=averaged))
+    return aligned
+
+
+def _align_rewards(tables: Sequence[OutcomeTable]) -> list[tuple[Numbers, Numbers]]:
+    """Return the rewards of tables: by outcome, or in integers, if one table has them so."""
+    by_outcome = any(len(table.gain) != table.pairs for table in tables)
+    floats = all(table.gain.dtype == np.float64 for table in tables)
+    rewards = []
+    for table in tables:
+        gain, below = table.gain, table.gain_denominator
+        if not floats:
+            gain, below = table.integer_gains
+        if by_outcome:
+            gain = _repeat_by_outcome(gain, table)
+        rewards.append((gain, below))
+    return rewards
+
+
 def require_amounts(table: OutcomeTable, what: str) -> None:
     """Raise ModelError if only the mean reward of each pair is known, not of each outcome.
 

@@ -9,6 +9,7 @@ contains one is refused when it is read, so figures, web pages and XML reports n
 from __future__ import annotations
 
 import re
+import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
@@ -276,12 +277,12 @@ def check_names(
             raise ModelError(said, where=where, fix=fix)
 
 
-def count_own_frames() -> int:
-    """Return how many calls of this package lie between the caller's own and the user's line."""
-    frame, count = currentframe(), -1
+def warn_user(message: str, category: type[Warning] = UserWarning) -> None:
+    """Warn about the line of the user that called this package."""
+    frame, count = currentframe(), 0
     while frame is not None and frame.f_globals.get("__name__", "").startswith("exact_mdp"):
         frame, count = frame.f_back, count + 1
-    return count
+    warnings.warn(message, category, stacklevel=count + 1)
 
 
 @contextmanager

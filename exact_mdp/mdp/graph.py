@@ -117,12 +117,10 @@ def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
     starts, ends = graph.tocoo().coords
     here, there = label[starts], label[ends]
     apart = here != there
-    edges = sp.csr_array((np.ones(apart.sum()), (here[apart], there[apart])), (count, count))
-    edges.sum_duplicates()
     # A component is ranked when all of its successors are: one more than the last of them.
-    needed = np.diff(edges.indptr)
-    owner, every = np.repeat(np.arange(count), needed), np.ones(edges.nnz, dtype=bool)
-    backward = Backward.of(np.arange(edges.nnz + 1), edges.indices, owner, count)
+    owner, every = here[apart], np.ones(np.count_nonzero(apart), dtype=bool)
+    needed = np.bincount(owner, minlength=count)
+    backward = Backward.of(np.arange(len(owner) + 1), there[apart], owner, count)
     return label, backward.rank_states(needed == 0, every, needed)[0][label]
 
 
@@ -150,13 +148,9 @@ def rank_acyclic_states(offsets: Numbers, following: Numbers, ended: Mask) -> In
     if not last.any() and not ended.all():
         return None
     # Rank states backward, each when all of its successors are ranked.
-    size = len(ended)
-    edges = sp.csr_array((np.ones(len(following), np.int8), following, offsets), (size, size))
-    edges = edges.copy()
-    edges.sum_duplicates()
-    steps, each = np.diff(edges.indptr), np.arange(len(edges.indices) + 1)
+    size, steps = len(ended), np.diff(offsets)
     owner = np.repeat(np.arange(size), steps)
-    backward = Backward.of(each, edges.indices, owner, size)
+    backward = Backward.of(np.arange(len(following) + 1), following, owner, size)
     level, _ = backward.rank_states(ended, ~ended[owner], steps)
     if (level < 0).any():
         return None

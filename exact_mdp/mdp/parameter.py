@@ -92,16 +92,12 @@ class Parameter:
         """Raise ModelError for a value outside the range."""
         least, most = self.limits
         if not least <= value <= most:
-            low, high = "-∞", "∞"
-            ends = []
-            if self.low is not None:
-                low = format_rational(self.low)
-                ends.append(self.low)
-            if self.high is not None:
-                high = format_rational(self.high)
-                ends.append(self.high)
+            ends: dict[Fraction | float, str] = {-inf: "-∞", inf: "∞"}
+            known = [end for end in (self.low, self.high) if end is not None]
+            ends |= {end: format_rational(end) for end in known}
             raise ModelError(
-                f"{self.name} is {format_beside_limits(value, *ends)}, outside [{low}, {high}]",
+                f"{self.name} is {format_beside_limits(value, *known)}, outside "
+                f"[{ends[least]}, {ends[most]}]",
                 where=f"parameter {self.name}",
                 fix="choose a value in that range",
             )

@@ -362,12 +362,7 @@ class OutcomeTable(ByFields):
 
         Float amounts by outcome are rounded as in `expected_gain`.
         """
-        if self.components is None:
-            return self.expected_gain()[:, None]
-        if self.parted_by_outcome:
-            return np.stack([each.expected_gain() for each in self._each_component()], axis=1)
-        shape = self.components.shape
-        return divide(self.components, np.broadcast_to(self.component_denominator[:, None], shape))
+        return np.stack([each.expected_gain() for each in self._each_component()], axis=1)
 
     def expected_components_exact(self) -> tuple[Numbers, Numbers]:
         """Return the expected reward by component as integers (L, C) over integers (L,)."""
@@ -403,6 +398,8 @@ class OutcomeTable(ByFields):
 
     def _each_component(self) -> list[OutcomeTable]:
         """Return one table for each component, with that component as the reward."""
+        if self.components is None:
+            return [self]
         return [self.with_component_reward(number) for number in range(self.components.shape[1])]
 
     @cached_property

@@ -259,8 +259,6 @@ def as_discount(discount: object) -> Fraction:
             where="discount",
             fix='give discount=0.95, or discount="19/20"; the default is 1',
         )
-    if type(discount) is float and 0 <= discount <= 1:
-        return Fraction(discount)
     value = exact(discount, "discount")
     _check_discount(value)
     return value
@@ -315,18 +313,11 @@ def _without_time(start: object, space: StateSpace) -> StateSpace:
     if not all(map(at_first.lookup.can_find, names)):
         return space
     for name in names:
-        if _can_read(name, space) and space.number(name) != at_first.number(name):
+        if space.lookup.can_find(name) and space.number(name) != at_first.number(name):
             own, other = (space.label(each.number(name)) for each in (space, at_first))
             what = f"{name!r} may be {own!r}, or {other!r}"
             raise ModelError(what, fix=f'write "{own}" or "{other}"')
     return at_first
-
-
-def _can_read(name: object, space: StateSpace) -> bool:
-    try:
-        return space.number(name) >= 0
-    except ModelError:
-        return False
 
 
 def numbers_by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
@@ -341,7 +332,7 @@ def numbers_by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
             )
         numbers = dict(zip(numbers.index, numbers, strict=True))
     if isinstance(numbers, Mapping):
-        return _by_number(numbers, numbers.values(), space)
+        return once_each(zip(space.numbers(numbers), numbers.values(), strict=True), space.label)
     vector = isinstance(numbers, np.ndarray) and numbers.ndim == 1
     listed = isinstance(numbers, list | tuple) and not _is_state(numbers, space)
     if vector or listed:
@@ -352,10 +343,6 @@ def numbers_by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
             )
         return dict(enumerate(numbers))
     return None
-
-
-def _by_number(states: object, numbers: Iterable[object], space: StateSpace) -> dict[int, Any]:
-    return once_each(zip(space.numbers(states), numbers, strict=True), space.label)
 
 
 def _is_state(given: object, space: StateSpace) -> bool:
@@ -522,11 +509,6 @@ def _format_sum(total: Fraction) -> str:
 
 def _check_start(model: Parts) -> None:
     """Raise an error unless the start is a distribution over states, each named once."""
-    # Most models start in one state.
-    if len(model.start) == 1:
-        ((state, weight),) = model.start
-        if 0 <= state < model.n_states and weight == 1:
-            return
     states = [state for state, _ in model.start]
     weights = [weight for _, weight in model.start]
     if any(not 0 <= state < model.n_states for state in states) or len(set(states)) != len(states):

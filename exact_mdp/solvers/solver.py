@@ -126,7 +126,7 @@ def solve(
         check_tolerance("solve", tol)
         solution = _find_best_average(mdp, solver, tol, start)
         if solution.status is Status.PRECISION:
-            warn_of_precision(solution.error_bound, stacklevel=3)  # `named_options` is in between
+            warn_of_precision(solution.error_bound)
         return solution
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)

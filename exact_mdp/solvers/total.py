@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, count_own_frames, require_known_name
+from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.gains import SLACK, compute_advantages, gamma, rounding_facts
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
@@ -61,7 +61,7 @@ def solve_total(
     find_best = partial(_maximise_total, solver=solver, tol=tol, start=orient_start(mdp, start))
     solution = answer_maximised(mdp, find_best)
     if solution.status is Status.PRECISION:
-        warn_of_precision(solution.error_bound, stacklevel=count_own_frames() + 1)
+        warn_of_precision(solution.error_bound)
     return solution
 
 

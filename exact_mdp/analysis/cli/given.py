@@ -21,10 +21,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.choices import find_policy_format
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.questions import reduce_model
 from exact_mdp.mdp.questions.horizon import describe_time_limit
 from exact_mdp.mdp.questions.origin import Question
-from exact_mdp.mdp.questions.until import Component
+from exact_mdp.mdp.questions.until import ask_component
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.solvers.arguments import Criterion, is_average, require_no_horizon
@@ -50,7 +49,7 @@ def pose_question(mdp: MDP, *, asked: dict[str, Any], limited: bool = False) -> 
     if changes:
         mdp = mdp.with_(**changes)
     if asked["reward"] is not None:
-        mdp = reduce_model(mdp, Component(asked["reward"], others=limited))
+        mdp = ask_component(mdp, asked["reward"], others=limited)
     if asked["reach"] is not None:
         return mdp.reaching(asked["reach"], asked["allowed"])
     if asked["until"] is not None:

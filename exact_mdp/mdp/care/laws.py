@@ -12,7 +12,6 @@ Source: Yuan et al. (2025), Section 2.1.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, reduce
@@ -23,7 +22,7 @@ import numpy as np
 
 from exact_mdp.mdp.care.rules import Rules, rules_of
 from exact_mdp.mdp.care.tables import ScenarioTables
-from exact_mdp.mdp.errors import ScenarioWarning
+from exact_mdp.mdp.errors import ScenarioWarning, warn_user
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
     Floats,
@@ -174,13 +173,8 @@ def describe_excess(laws: Laws) -> str | None:
     return line
 
 
-def warn_of_excess(laws: Laws, *, where: str = "", stacklevel: int = 2) -> None:
-    """Warn if a probability is cut off at 1.
-
-    `where` names the part of an analysis; `stacklevel` is as in `warnings.warn`, with 2 for the
-    line of the caller.
-    """
+def warn_of_excess(laws: Laws, *, where: str = "") -> None:
+    """Warn if a probability is cut off at 1; `where` names the part of an analysis."""
     message = describe_excess(laws)
     if message:
-        text = f"scenario {laws.scenario.name}{where}: {message}"
-        warnings.warn(text, ScenarioWarning, stacklevel=stacklevel + 1)
+        warn_user(f"scenario {laws.scenario.name}{where}: {message}", ScenarioWarning)

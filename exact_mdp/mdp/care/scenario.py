@@ -159,7 +159,7 @@ class ScenarioFamily(Parametric):
         # If the present values are enough for a warning, use the words of `compile`.
         if describe_excess(self.scenario.laws) is not None:
             there, where = self.scenario, ""
-        warn_of_excess(there.laws, where=where, stacklevel=4)
+        warn_of_excess(there.laws, where=where)
 
     def __getstate__(self) -> dict[str, object]:
         return {"scenario": self.scenario, "warned": [self.scenario.name], "asks": self.asks}

@@ -142,10 +142,7 @@ class FromFunction(FromArrays):
                         where=where,
                         fix="raise max_states, or describe states by less",
                     )
-        # States without a row are ends; list them in the order in which they were found.
-        acting = {*columns.state}
-        ends = [state for state, number in states.number.items() if number not in acting]
-        parts = name_columns(columns, states, doing, ends)
+        parts = name_columns(columns, states, doing)  # states without a row are ends
         # Ask the functions of labels for all states.
         flags = dict(labels or {})
         for name, holds in flags.items():

@@ -412,15 +412,19 @@ def name_columns(
     columns: OutcomeColumns,
     states: Numbering,
     actions: Numbering,
-    ends: Iterable[Hashable],
+    ends: Iterable[Hashable] | None = None,
     paid: Mapping[Hashable, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Return the names of states and actions; change their numbers in `columns`, and add the ends.
 
-    Numbers change if things are whole numbers. `ends` are the states without actions. Those in
-    `paid` {end: reward} earn the reward once and lead to an additional state.
+    Numbers change if things are whole numbers. `ends` are the states without actions: by default
+    those without a pair. Those in `paid` {end: reward} earn the reward once and lead to an
+    additional state.
     """
     found = list(states.number), list(actions.number)
+    if ends is None:
+        acting = {*columns.state}
+        ends = [thing for thing, number in states.number.items() if number not in acting]
     things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
     parts = (states, columns.state), (states, columns.following), (actions, columns.action)
     for (numbering, numbers), before in zip(parts, (found[0], *found), strict=True):

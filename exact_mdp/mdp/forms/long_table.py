@@ -138,12 +138,11 @@ class FromFrame(FromArrays):
                 rewarded = [(p, to, gain) for (p, to, _), gain in zip(outcomes, named, strict=True)]
             filled.add_pair(state, action, rewarded)
             listed.append([each[1:] for *_, each in outcomes])
-        left = {*filled.state}
-        ends = [thing for thing, number in states.number.items() if number not in left]
-        own = name_columns(filled, states, actions, ends)
+        own = name_columns(filled, states, actions)
+        ends = [0] * (len(filled.state) - len(listed))
         if paid and parts:
             own["components"] = {
-                name: [*([amounts[k] for amounts in each] for each in listed), *(0 for _ in ends)]
+                name: [*([amounts[k] for amounts in each] for each in listed), *ends]
                 for k, name in enumerate(parts)
             }
         return cls._from_columns(filled, discount, start, own | names)

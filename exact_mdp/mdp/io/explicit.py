@@ -21,9 +21,8 @@ Source: https://www.prismmodelchecker.org/manual/Appendices/ExplicitModelFiles
 from __future__ import annotations
 
 import re
-import warnings
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import accumulate, pairwise, starmap
 from pathlib import Path
@@ -32,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.components import REST
-from exact_mdp.mdp.errors import ModelError, require_known_name
+from exact_mdp.mdp.errors import ModelError, require_known_name, warn_user
 from exact_mdp.mdp.forms.names import ByNumber, find_free_name
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.io.files import LARGE, read_text
@@ -111,14 +110,14 @@ def build_explicit_model(
     targets: Sequence[int],
     chances: Sequence[Any],
     choice_words: Sequence[str],
-    action_names: Sequence[str],
     words: tuple[str, ...],
     initial: Sequence[int],
     rewards: Mapping[str, Mapping[str, Sequence[Any]]],
     labels: Mapping[str, Flags],
-    reward: str | None,
     discount: object,
     start: object,
+    reward: str | None = None,
+    action_names: Sequence[str] = (),
 ) -> MDP:
     """Return a model of another program; the caller adds what the format lacks, such as a discount.
 
@@ -129,7 +128,7 @@ def build_explicit_model(
     """
 
     def warn_of_file(what: str) -> None:
-        warnings.warn(f"{where}: {what}", stacklevel=4)
+        warn_user(f"{where}: {what}")
 
     if discount is None:
         warn_of_file(
@@ -256,12 +255,10 @@ def read_tra(path: str | Path, *, discount: object = 1, start: object = None) ->
         targets=[to for to, _ in listed],
         chances=[chance for _, chance in listed],
         choice_words=[words[pair] for pair in pairs],
-        action_names=(),
         words=_read_states(path.with_suffix(".sta"), size),
         initial=np.flatnonzero(labels.get(INITIAL, np.arange(size) == 0)).tolist(),
         rewards=_read_rewards(path, pairs, branches, size, nondeterministic=nondeterministic),
         labels=labels,
-        reward=None,
         discount=discount,
         start=start,
     )
@@ -349,14 +346,9 @@ def _read_rewards(
 
 def _split_lines(path: Path) -> list[Row]:
     """Return the lines of a file that are not blank, nor comments, as words."""
-    return [*_each_line(path)] or [(1, [])]
-
-
-def _each_line(path: Path) -> Iterator[Row]:
-    for number, line in enumerate(read_text(path, most=LARGE).split("\n"), 1):
-        words = line.split()
-        if words and not words[0].startswith("#"):
-            yield number, words
+    lines = enumerate(map(str.split, read_text(path, most=LARGE).split("\n")), 1)
+    rows = [(number, words) for number, words in lines if words and words[0][0] != "#"]
+    return rows or [(1, [])]
 
 
 def _parse_whole(text: str, path: Path, line: int, size: int = 2**31) -> int:

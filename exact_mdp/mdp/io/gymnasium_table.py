@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import copy
 import random
-import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
@@ -25,7 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import FEW_NAMED, ModelError, join_few, locate_errors, shorten_text
+from exact_mdp.mdp.errors import (
+    FEW_NAMED,
+    ModelError,
+    join_few,
+    locate_errors,
+    shorten_text,
+    warn_user,
+)
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 
@@ -276,8 +282,7 @@ def compare_with_table(
 
 def _warn_not_compared(env: Any, why: str) -> None:
     """Warn that an environment was not compared with its table."""
-    what = f"step() of {type(env).__name__} was not compared with P: {why}"
-    warnings.warn(what, stacklevel=4)
+    warn_user(f"step() of {type(env).__name__} was not compared with P: {why}")
 
 
 def _copy_environment(env: Any, base: Any) -> Any:

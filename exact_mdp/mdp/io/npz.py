@@ -104,8 +104,8 @@ PARAMETER = {
     "value": parse_rational,
     "low": or_null(parse_rational),
     "high": or_null(parse_rational),
+    "unit": or_null(str),
 }
-PARAMETER["unit"] = or_null(str)
 HEADER = PARTS | {
     "actions": [str],
     "component_names": [str],

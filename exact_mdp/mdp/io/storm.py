@@ -64,7 +64,7 @@ def read_program(
     discount: object = 1,
     start: object = None,
 ) -> MDP:
-    """Return the model of a PRISM program ("prism") or a JANI model ("jani").
+    """Return the model of a file in a language: "prism", "jani", or "drn" of Storm itself.
 
     `constants` gives values to open constants, such as "N=4,p=1/3". Raises ModelError if Storm is
     missing or refuses the program, or if a constant is still open.
@@ -83,8 +83,7 @@ def read_program(
             order += [name for name in known if name.startswith(LOCATION)]
         else:
             order = _in_order(known, text)
-        content = _convert_parts(built, order)
-        content |= {"reward": None, "discount": discount, "start": start}
+        content = _convert_parts(built, order) | {"discount": discount, "start": start}
         return build_explicit_model(shown_text(str(path)), name=Path(path).stem, **content)
 
 
@@ -92,12 +91,8 @@ read_prism, read_jani = partial(read_program, "prism"), partial(read_program, "j
 
 
 def read_drn(path: str | Path, *, discount: object = 1, start: object = None) -> MDP:
-    """Return the model of an explicit file of Storm."""
-    with locate_errors(str(path)):
-        read_text(path, most=LARGE)  # there, and not too large
-        content = _convert_parts(_run_storm("drn", Path(path), ""), [])
-        content |= {"reward": None, "discount": discount, "start": start}
-        return build_explicit_model(shown_text(str(path)), name=Path(path).stem, **content)
+    """Return the model of an explicit file of Storm, which has no constants."""
+    return read_program("drn", path, discount=discount, start=start)
 
 
 def read_storm_model(model: Any, *, discount: object = 1, start: object = None) -> MDP:
@@ -108,8 +103,7 @@ def read_storm_model(model: Any, *, discount: object = 1, start: object = None) 
         raise ModelError(f"{kind or type(model).__name__} cannot be taken", where="model", fix=fix)
     built = list_model_parts(model)
     content = _convert_parts(built, built["variables"])
-    content |= {"reward": None, "discount": discount, "start": start}
-    return build_explicit_model("model", name="", **content)
+    return build_explicit_model("model", name="", discount=discount, start=start, **content)
 
 
 def _format_constants(constants: str | Mapping[str, object]) -> str:
@@ -255,7 +249,6 @@ def _convert_parts(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]
         "targets": built["targets"],
         "chances": [numbers[place] for place in built["chances"]],
         "choice_words": built["choice_words"],
-        "action_names": (),
         "words": name_states(shown),
         "initial": listed.get(INITIAL, []),
         "rewards": rewards,

@@ -277,7 +277,9 @@ def _read_archive(
             refuse_size(size, most, table=bool(alone))
             arrays = {}
             for name, each in members.items():
-                arrays[name] = _parse_npy(_unpack_member(archive, each))
+                # In pieces, so that it cannot exceed its stated size.
+                with archive.open(each) as member:
+                    arrays[name] = _parse_npy(b"".join(iter(partial(member.read, PIECE), b"")))
             return arrays
     except (ModelError, OSError):
         raise
@@ -286,12 +288,6 @@ def _read_archive(
             "not a readable NumPy array, or an archive of these: damaged, or with Python objects",
             fix="save it again, with numbers only",
         ) from error
-
-
-def _unpack_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Return the content of a member, read in pieces, so that it cannot exceed its stated size."""
-    with archive.open(member) as file:
-        return b"".join(iter(partial(file.read, PIECE), b""))
 
 
 def _parse_npy(content: bytes) -> Numbers:

@@ -37,7 +37,6 @@ from __future__ import annotations
 import gzip
 import io
 import re
-import warnings
 import zlib
 from collections import Counter
 from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
@@ -59,6 +58,7 @@ from exact_mdp.mdp.errors import (
     require_known_name,
     require_type,
     suggest_name,
+    warn_user,
 )
 from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, one_kind
 from exact_mdp.mdp.io.files import open_file
@@ -181,7 +181,7 @@ class FromTransitions(FromArrays):
         record = count_transitions(frame, columns, progress=progress)
         if record.unused:
             others = ", ".join(map(repr, record.unused))
-            warnings.warn(f"columns that are not used: {others}", stacklevel=2)
+            warn_user(f"columns that are not used: {others}")
         parts = record.build_parts(discount, unseen, costs=Sense.of_options(names).costs)
         if start is not None:
             parts |= {"start": as_start(start, parts["space"]), "episodes": None}
@@ -219,13 +219,12 @@ class TransitionRecord:
         if isinstance(frame, str | Path):
             self.where = str(frame)
             self.form = find_format(self.where.removesuffix(".gz"), RECORDS) or RECORDS[".csv"]
-        self._parquet = self.form is RECORDS[".parquet"]
-        self._of_lines = self.form is not None and not self._parquet
+        self._of_lines = self.form not in (None, RECORDS[".parquet"])
         self._of_texts = self.form is RECORDS[".csv"]
         self.numbers: dict[str, dict[Any, int]] = {name: {} for name in COLUMNS[:4]}
         self._implied: set[str] = set()  # columns that are missing, and follow from the marks
         self.rows = 0
-        self.unused: tuple[str, ...] = ()  # columns that are not read
+        self.unused: dict[str, None] = {}  # columns that are not read
         self.starts = Counter[int]()  # episodes by first state
         self.stops = Counter[tuple[int, bool]]()  # episodes by last next state, and whether cut off
         self._counts: list[tuple[Integers, Integers]] = []
@@ -236,12 +235,12 @@ class TransitionRecord:
 
     # ---- reading ---------------------------------------------------------------------------------
 
-    def read_chunks(self, *, progress: bool = False) -> Iterator[tuple[Integers, Integers]]:
+    def read_chunks(self) -> Iterator[tuple[Integers, Integers]]:
         """Yield for each chunk the episodes (R,), and state, action, next state and reward (R, 4).
 
         All are checked, and are numbers of names; a next state may be `OVER` or `NOWHERE`.
         """
-        for episode, keys in self.read_marked_chunks(progress=progress):
+        for episode, keys in self.read_marked_chunks():
             keys[keys[:, 2] <= ENDED, 2] = OVER
             yield episode, keys
 
@@ -362,7 +361,6 @@ class TransitionRecord:
             table = parquet.ParquetFile(file)
             names = table.schema_arrow.names
             used = {*self._find_columns(names).values()}
-            self.unused = tuple(name for name in names if name not in used)
             for batch in table.iter_batches(ROWS, columns=[n for n in names if n in used]):
                 # The metadata of pandas could turn a column into an index: ignore it.
                 yield batch.to_pandas(ignore_metadata=True, integer_object_nulls=True)
@@ -444,7 +442,7 @@ class TransitionRecord:
         if self._of_lines:
             self._places = chunk.index
         # Read the marks, and number the values of the other columns.
-        parts = self._parts_of(chunk)
+        parts = {name: chunk[column] for name, column in self.columns.items()}
         cut, over = self._read_marks({name: parts.pop(name) for name in MARKS if name in parts})
         codes = {name: self._number_values(name, column) for name, column in parts.items()}
         for name in COLUMNS[:4]:
@@ -463,13 +461,6 @@ class TransitionRecord:
         self._raise_problems()
         self.rows += len(chunk)
         return episode, np.stack([state, action, then, reward], axis=1)
-
-    def _parts_of(self, chunk: DataFrame) -> dict[str, Series]:
-        """Return the columns that are read, {"episode": column, …}."""
-        if not self._parquet:
-            used = {*self.columns.values()}
-            self.unused = tuple(str(c) for c in chunk.columns if c not in used)
-        return {name: chunk[column] for name, column in self.columns.items()}
 
     def _find_columns(self, there: Sequence[Any]) -> dict[str, str]:
         """Return the table's name of each column, and of those that the marks imply."""
@@ -500,6 +491,8 @@ class TransitionRecord:
         if {*missing} - self._implied:
             self.columns = found
             raise self._missing_columns_error(missing, [str(column) for column in there])
+        unread = [str(column) for column in there if column not in found.values()]
+        self.unused |= dict.fromkeys(unread)
         return found
 
     def _missing_columns_error(self, missing: Sequence[str], there: Sequence[str]) -> ModelError:
@@ -670,10 +663,9 @@ class TransitionRecord:
             return
         number = count[np.isin(ENDED - keys[:, 2], keys[:, 0]) & (keys[:, 2] <= ENDED)].sum()
         if number:
-            warnings.warn(
+            warn_user(
                 f"{number:,} rows of {self.where} are done in states that other rows leave, and "
-                "count as ends; if a time limit cut some off, mark them in a column 'truncated'",
-                stacklevel=4,
+                "count as ends; if a time limit cut some off, mark them in a column 'truncated'"
             )
 
     def build_parts(

@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -266,19 +267,25 @@ def pose_questions(family: Parametric, origin: Origin) -> Parametric:
     return family
 
 
-def _name_rewards(table: OutcomeTable) -> dict[str, Fraction]:
-    """Return {name: reward} for the rewards other than 0; if there are many, only some of them."""
+def _list_rewards(table: OutcomeTable, most: float = inf) -> set[Fraction]:
+    """Return the different rewards; not all of them if there are more than `most`."""
     bottom: Numbers = table.gain_denominator
     if len(table.gain) != len(bottom):
         bottom = np.repeat(bottom, np.diff(table.offsets))
     # Search block by block, and stop as soon as there are too many.
-    rewards: set[Fraction] = set()
+    rewards = set[Fraction]()
     for first in range(0, len(bottom), 2**12):
         here = slice(first, first + 2**12)
         ratios = set(zip(table.gain[here].tolist(), bottom[here].tolist(), strict=True))
-        rewards |= {exact(top) / below for top, below in ratios if top}
-        if len(rewards) > MOST_REWARDS:
+        rewards |= {exact(top) / below for top, below in ratios}
+        if len(rewards) > most:
             break
+    return rewards
+
+
+def _name_rewards(table: OutcomeTable) -> dict[str, Fraction]:
+    """Return {name: reward} for the rewards other than 0; if there are many, only some of them."""
+    rewards = _list_rewards(table, MOST_REWARDS + 1) - {0}
     names = {f"reward.{format_rational(reward)}": reward for reward in sorted(rewards)}
     # Rewards that differ in late digits only are named by their fractions.
     if len(names) < len(rewards):
@@ -332,7 +339,10 @@ def moving(
     moved = []
     for name, listed in entries.items():
         places = _find_entries(model, listed, f"parameter {name}")
-        values = {_find_probability(model, pair, state) for pair, state in places}
+        values = set[Fraction]()
+        for pair, state in places:
+            row = model.table.row(pair)
+            values.add(sum((p for p, following, _ in row if following == state), Fraction(0)))
         if len(values) != 1:
             raise ModelError(
                 f"{len(values)} different probabilities",
@@ -523,9 +533,7 @@ def _match_rewards(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, 
     named = {exact(reward): name for name, reward in rewards.items()}
     if not named:
         return {}
-    known: set[Fraction] = set()
-    for pair in range(model.n_pairs):
-        known |= {gain for _, _, gain in model.table.row(pair)}
+    known = _list_rewards(model.table)
     for reward, name in named.items():
         if reward not in known or len(named) != len(rewards):
             raise ModelError(
@@ -582,8 +590,3 @@ def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fra
         parameter_of(model, name).check(number)
     today = {parameter.name: parameter.value for parameter in model.parameters}
     return {name: number for name, number in numbers.items() if number != today[name]}
-
-
-def _find_probability(mdp: MDP, pair: int, state: int) -> Fraction:
-    """Return the probability of a next state."""
-    return sum((p for p, following, _ in mdp.table.row(pair) if following == state), Fraction(0))

@@ -32,24 +32,22 @@ each state of the model follows the model's order.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Collection, Sequence
 from fractions import Fraction
 from math import prod
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, join_few, locate_errors, no_such
+from exact_mdp.mdp.errors import ModelError, join_few, locate_errors, no_such, warn_user
 from exact_mdp.mdp.forms.names import integer_of
 from exact_mdp.mdp.forms.numbers import convert_tensors, is_pandas_table, refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.horizon import flatten_times
 from exact_mdp.mdp.space import StateSpace, find_table_space
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, to_python_number
+from exact_mdp.mdp.validate import Flags
 
-Flags = NDArray[np.bool_]
 KINDS = ("auto", "q", "policy")
 SAY = (
     'say which, since the answers differ: Policy.of(model, array, kind="policy") or kind="q"; in '
@@ -186,10 +184,9 @@ def _find_rows_by_object(model: MDP, array: Numbers, kind: str) -> Numbers | Non
 
 def warn_unread(labels: Sequence[str], count: int, rows: int) -> None:
     """Warn that `count` of some rows are of states that the model does not reach."""
-    warnings.warn(
+    warn_user(
         f"{count} of {rows} rows are not read: their states are not in the model, "
-        f"which has only the states that can be reached from its start: {join_few(labels, count)}",
-        stacklevel=2,
+        f"which has only the states that can be reached from its start: {join_few(labels, count)}"
     )
 
 

@@ -1,42 +1,23 @@
 """Questions about a model, as reductions: models whose optimal value is the answer, and ways back.
 
-A reduction says whether it applies, makes its model, and tells which pairs and states of that model
-stand for which of the given one; each module of this folder states its equation. Policies of a
-model are also policies of its questions, so every analysis applies to them as it is.
+A reduction refuses what it does not apply to, makes its model, and tells which pairs and states of
+that model stand for which of the given one; each module of this folder states its equation.
+Policies of a model are also policies of its questions, so every analysis applies to them as it is.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Protocol, Self, TypeVar
+from typing import Self
 
-from exact_mdp.mdp.questions.horizon import Horizon
+from exact_mdp.mdp.questions.horizon import ask_horizon
 from exact_mdp.mdp.questions.origin import Origin as Origin
 from exact_mdp.mdp.questions.origin import Question as Question
 from exact_mdp.mdp.questions.origin import keep_origin, origin_of
-from exact_mdp.mdp.questions.reaching import Reaching
-from exact_mdp.mdp.questions.step_weights import StepWeights
-from exact_mdp.mdp.questions.until import Component, Until
+from exact_mdp.mdp.questions.reaching import ask_reaching
+from exact_mdp.mdp.questions.step_weights import ask_step_weights
+from exact_mdp.mdp.questions.until import ask_component, ask_until
 from exact_mdp.mdp.validate import Parts, require_count
-
-Model = TypeVar("Model", bound=Parts)
-
-
-class Reduction(Protocol):
-    """The shape of all reductions here; their attributes are the options of a question."""
-
-    def require_applicable(self, model: Any) -> None:
-        """Raise ModelError if the question cannot be asked about the model."""
-
-    def apply(self, model: Any) -> Any:
-        """Return the model whose optimal value is the answer."""
-
-
-def reduce_model(model: Model, reduction: Reduction) -> Model:
-    """Return the model of a reduction that applies."""
-    reduction.require_applicable(model)
-    answer: Model = reduction.apply(model)
-    return answer
 
 
 class Questions(Parts):
@@ -77,7 +58,7 @@ class Questions(Parts):
         >>> certify(mdp.reaching("home")).start_value
         Fraction(1, 3)
         """
-        answer = reduce_model(self, Reaching(label, allowed))
+        answer: Self = ask_reaching(self, label, allowed)
         return keep_origin(answer, self, "reaching", label=label, allowed=allowed)
 
     def until(self, label: str, reward: str | None = None) -> Self:
@@ -115,7 +96,8 @@ class Questions(Parts):
         model = self
         if reward is not None:
             model = self.earning(reward)
-        return keep_origin(reduce_model(model, Until(label)), model, "until", label=label)
+        answer: Self = ask_until(model, label)
+        return keep_origin(answer, model, "until", label=label)
 
     def weigh_steps(self, weights: object) -> Self:
         """Return the model whose reward counts more or less by the step in which it is earned.
@@ -143,7 +125,7 @@ class Questions(Parts):
         >>> certify(alive.within(3).weigh_steps("half-cycle")).start_value  # 1/2 + 4/5 + 16/50
         Fraction(81, 50)
         """
-        answer = reduce_model(self, StepWeights(weights))
+        answer: Self = ask_step_weights(self, weights)
         return keep_origin(answer, self, "weigh_steps", weights=weights)
 
     def earning(self, component: str) -> Self:
@@ -172,7 +154,8 @@ class Questions(Parts):
         >>> certify(mdp).start_value, certify(mdp.earning("toll")).start_value
         (Fraction(4, 1), Fraction(3, 1))
         """
-        return reduce_model(self, Component(component))
+        answer: Self = ask_component(self, component)
+        return answer
 
     def within(self, steps: int, *, terminal_value: object = None) -> Self:
         """Return the model of episodes that stop after N steps.
@@ -216,5 +199,5 @@ class Questions(Parts):
             # A run that begins in a labelled state is there before the first step.
             begun: Self = replace(origin, model=origin.model.within(0)).rebuild_model()
             return begun
-        answer = reduce_model(self, Horizon(steps, terminal_value))
+        answer: Self = ask_horizon(self, steps, terminal_value)
         return keep_origin(answer, self, "within", steps=steps, terminal_value=terminal_value)

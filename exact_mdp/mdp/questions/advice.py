@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
 from exact_mdp.mdp.components import REST
-from exact_mdp.mdp.errors import FEW_NAMED, ModelError, count_own_frames, join_few
+from exact_mdp.mdp.errors import FEW_NAMED, ModelError, join_few, warn_user
 from exact_mdp.mdp.model import MDP
 
 
@@ -69,9 +67,8 @@ def warn_of_zero_reward(mdp: MDP) -> None:
     says = np.flatnonzero(np.any(amounts != 0, axis=0)).tolist()
     names = [mdp.component_names[n] for n in says if mdp.component_names[n] != REST]
     if names:
-        warnings.warn(
+        warn_user(
             f"the reward is 0 everywhere, so all values are 0; the components {', '.join(names)} "
             f"do not count unless one is asked for: mdp.earning({names[0]!r}), of a family "
-            f"family.with_question(lambda model: model.earning({names[0]!r})), --reward {names[0]}",
-            stacklevel=count_own_frames() + 1,
+            f"family.with_question(lambda model: model.earning({names[0]!r})), --reward {names[0]}"
         )

@@ -13,7 +13,7 @@ The way in: a policy over states, or an array by time and state (`flatten_times`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.components import align_tables
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.questions.ending import NO_DATA, REACHED, fill_certain, make_terminal
 from exact_mdp.mdp.questions.origin import origin_of
@@ -40,119 +41,117 @@ from exact_mdp.mdp.table import (
 from exact_mdp.mdp.validate import Flags, Parts
 
 
-@dataclass(frozen=True)
-class Horizon:
-    """The reward of the first `steps` steps, and the value of the state that they lead to."""
+def ask_horizon(model: Any, steps: int, terminal_value: object = None) -> Any:
+    """Return the model of episodes that stop after some steps, with values of the last states.
 
-    steps: int
-    terminal_value: object = None
-
-    def _lay_out(self, model: Any) -> TimeLayers:
-        values = read_terminal_values(self.terminal_value, model.space)
-        return TimeLayers(model, self.steps, values)
-
-    def require_applicable(self, model: Any) -> None:
-        """Raise ModelError if the model has a time already, or its layers are too many."""
-        layers = self._lay_out(model)
-        # A run that has reached its target is over and earns no terminal value.
-        if model.target is not None:
-            require_unpaid(layers.values, model.target, model.space)
-        origin = origin_of(model)
-        if origin is not None and any(each.method == "within" for each in origin.questions):
-            raise ModelError(
-                "the model already stops after a number of steps",
-                where="horizon",
-                fix="leave out the horizon, or ask the model that it was made from",
-            )
-        if TIME in layers.space.names:
-            raise ModelError(
-                f"the model has a column {TIME!r} of its own",
-                where="state space",
-                fix="unroll the model that it was made from, or name that column differently",
-            )
-        if REACHED in model.space.extra:
-            if any(layers.values):
-                raise ModelError(
-                    "the value is a probability, to which terminal values do not add",
-                    where="terminal_value",
-                    fix="leave it out",
-                )
-            if not self.steps:
-                raise ModelError(
-                    "without a step nothing is reached, and the label is no longer known",
-                    where="horizon",
-                    fix="ask the model that it was made from: mdp.within(0).reaching(LABEL)",
-                )
-        layers.require_memory()
-
-    def apply(self, model: Any) -> Any:
-        """Return the model of episodes that stop."""
-        if not self.steps and any(read_terminal_values(self.terminal_value, model.space)):
-            # One step in which nothing happens earns the terminal values, without discount.
-            waits = np.ones(model.n_states, dtype=bool)
-            still = make_terminal(model, waits, discount_exact=Fraction(1))
-            paid = replace(self, steps=1).apply(still)
-            return replace(paid, discount_exact=model.discount_exact)
-        layers, states, first = self._lay_out(model), model.n_states, model.pair_offsets[:-1]
-        one, pairs, names = layers.table, layers.pairs, model.component_names
-
-        def append_end(name: str, values: Numbers) -> Numbers:
-            return layers.repeat(values, fill_certain(name, values, states))
-
-        # The rows of one time, N times over, and one certain outcome for each state at time N.
-        lengths = layers.repeat(np.diff(one.offsets), np.ones(states, np.int64))
-        table = one.map_numbers(
-            append_end,
-            append_end,
-            offsets=np.concatenate([[0], np.cumsum(lengths)]),
-            next_states=layers.list_next_states(),
+    Raises ModelError if the model has a time already, or its layers are too many.
+    """
+    values = read_terminal_values(terminal_value, model.space)
+    layers, origin = TimeLayers([(model, steps)], values), origin_of(model)
+    # A run that has reached its target is over and earns no terminal value.
+    if model.target is not None:
+        require_unpaid(values, model.target, model.space)
+    if origin is not None and any(each.method == "within" for each in origin.questions):
+        raise ModelError(
+            "the model already stops after a number of steps",
+            where="horizon",
+            fix="leave out the horizon, or ask the model that it was made from",
         )
-        # The last step earns the terminal values.
-        if any(layers.values):
-            worth = [model.discount_exact * value for value in layers.values]
-            earned = [worth[state] for state in one.next]
-            names, table = add_terminal_values(table, (self.steps - 1) * len(pairs), earned, names)
-        time = np.repeat(np.arange(self.steps + 1), [*[len(pairs)] * self.steps, states])
-        owner = layers.repeat(model.pair_state[pairs], np.arange(states))
-        column = Column(name=TIME, size=self.steps + 1)
-        parts = {
-            "table": table,
-            "component_names": names,
-            "pair_state": owner + layers.size * time,
-            "pair_action": layers.repeat(model.pair_action[pairs], model.pair_action[first]),
-            "space": StateSpace(columns=(column, *layers.space.columns), extra=layers.space.extra),
-            "start": tuple((layers.find_first(state), weight) for state, weight in model.start),
-            "time_limit": None,
-            "labels": {name: layers.repeat_flags(flags) for name, flags in model.labels.items()},
-            **NO_DATA,
-        }
-        for name in ("goal", "target"):
-            if getattr(model, name) is not None:
-                parts[name] = layers.repeat_flags(getattr(model, name))
-        return replace(model, **parts)
+    if TIME in layers.space.names:
+        raise ModelError(
+            f"the model has a column {TIME!r} of its own",
+            where="state space",
+            fix="unroll the model that it was made from, or name that column differently",
+        )
+    if REACHED in model.space.extra and any(values):
+        raise ModelError(
+            "the value is a probability, to which terminal values do not add",
+            where="terminal_value",
+            fix="leave it out",
+        )
+    if REACHED in model.space.extra and not steps:
+        raise ModelError(
+            "without a step nothing is reached, and the label is no longer known",
+            where="horizon",
+            fix="ask the model that it was made from: mdp.within(0).reaching(LABEL)",
+        )
+    layers.require_memory()
+    return _stop_after(layers)
+
+
+def _stop_after(layers: TimeLayers) -> Any:
+    """Return the model of episodes that stop after the steps of one model."""
+    ((model, steps),) = layers.steps
+    if not steps and any(layers.values):
+        # One step in which nothing happens earns the terminal values, without discount.
+        waits = np.ones(model.n_states, dtype=bool)
+        still = make_terminal(model, waits, discount_exact=Fraction(1))
+        paid = _stop_after(TimeLayers([(still, 1)], layers.values))
+        return replace(paid, discount_exact=model.discount_exact)
+    table, names = layers.join_tables(), model.component_names
+    # The last step earns the terminal values.
+    if any(layers.values):
+        (run,) = layers.runs
+        worth = [model.discount_exact * value for value in layers.values]
+        earned = [worth[state] for state in run.table.next]
+        names, table = add_terminal_values(table, (steps - 1) * len(run.pairs), earned, names)
+    return layers.build_model(table, component_names=names)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Steps one after the other that have the rows of one model, and the pairs that are kept."""
+
+    model: Any
+    steps: int
+    over: Flags  # (S,) where an episode is over from these steps on
+    pairs: Integers
+
+    @cached_property
+    def table(self) -> OutcomeTable:
+        """The outcomes of these pairs."""
+        table: OutcomeTable = self.model.table.of_pairs(self.pairs)
+        return table
+
+    def repeat(self, values: Numbers) -> Numbers:
+        """Return values once for each step of the run."""
+        return np.tile(values, (self.steps, *[1] * (values.ndim - 1)))
 
 
 @dataclass(frozen=True)
 class TimeLayers:
     """The states of a model, repeated for the times 0 … N; those whose episode is over stay."""
 
-    model: Any
-    steps: int
+    steps: Sequence[tuple[Any, int]]  # models of the same states, and for how many steps
     values: Sequence[Fraction] = ()  # of the states at time N
 
+    @property
+    def model(self) -> Any:
+        """The model of the first step, whose names and start count."""
+        return self.steps[0][0]
+
     @cached_property
-    def over(self) -> Flags:
-        """(S,) where an episode is over; a terminal state with a terminal value waits for it."""
-        over: Flags = self.model.over
-        if any(self.values):
-            over = over & ~np.array(self.values, dtype=bool)
-        return over
+    def count(self) -> int:
+        """The number of steps, N."""
+        return sum(count for _, count in self.steps)
+
+    @cached_property
+    def over(self) -> list[Flags]:
+        """(S,) for each run of steps, where an episode is over from then on."""
+        over, later = list[Flags](), np.ones(self.model.n_states, dtype=bool)
+        if any(self.values):  # a terminal state with a terminal value waits for it
+            later = ~np.array(self.values, dtype=bool)
+        for model, _ in reversed(self.steps):
+            later = later & model.over
+            over.append(later)
+        return over[::-1]
 
     @cached_property
     def space(self) -> StateSpace:
         """The states of one time; without columns if the process goes on in an extra state."""
         space: StateSpace = self.model.space
-        if self.over[space.regular :].all() and space.columns:
+        alike = len(self.steps) == 1 and self.over[0][space.regular :].all()
+        if space.columns and (alike or not space.extra):
             return space
         return StateSpace.plain(space.size, space.labels(range(space.size)))
 
@@ -162,61 +161,103 @@ class TimeLayers:
         return self.space.regular
 
     @cached_property
-    def pairs(self) -> Integers:
-        """The pairs of every time but the last; a state whose episode is over has one."""
-        offsets = self.model.pair_offsets
-        inside = ~self.over[self.model.pair_state]
-        inside[offsets[:-1][self.over]] = True
-        return np.flatnonzero(inside[: offsets[self.size]])
-
-    @cached_property
-    def table(self) -> OutcomeTable:
-        """The outcomes of these pairs."""
-        table: OutcomeTable = self.model.table.of_pairs(self.pairs)
-        return table
+    def runs(self) -> list[Run]:
+        """The runs of steps; a state whose episode is over has one pair."""
+        runs = list[Run]()
+        for (model, count), over in zip(self.steps, self.over, strict=True):
+            offsets, inside = model.pair_offsets, ~over[model.pair_state]
+            inside[offsets[:-1][over]] = True
+            pairs = np.flatnonzero(inside[: offsets[self.size]])
+            runs.append(Run(model, count, over, pairs))
+        return runs
 
     def find_first(self, state: int) -> int:
         """Return the number of a state at time 0; extra states move behind all layers."""
         if state < self.size:
             return state
-        return state + self.size * self.steps
+        return state + self.size * self.count
 
-    def repeat(self, values: Numbers, last: Numbers) -> Numbers:
-        """Return `values` N times, once for each of the times 0 … N - 1, and then `last`."""
-        return np.concatenate([np.tile(values, (self.steps, *[1] * (values.ndim - 1))), last])
+    def join(self, parts: Iterable[Numbers], last: Numbers) -> Numbers:
+        """Return the numbers of all steps, from those of one step of each run, and then `last`."""
+        each = zip(self.runs, parts, strict=True)
+        return np.concatenate([*(run.repeat(part) for run, part in each), last])
 
-    def repeat_flags(self, flags: Flags) -> Flags:
-        """Return flags (S,) for the states of all times and the extra ones."""
-        return np.append(np.tile(flags[: self.size], self.steps + 1), flags[self.size :])
+    def join_flags(self, flags: Sequence[Flags]) -> Flags:
+        """Return flags (S,) of each run for the states of all times and the extra ones."""
+        return self.join([own[: self.size] for own in flags], flags[-1])
+
+    def join_tables(self) -> OutcomeTable:
+        """Return the outcomes of all steps, and a certain one for each state at time N."""
+        tables, states = align_tables([run.table for run in self.runs]), self.model.n_states
+
+        def join_arrays(name: str, values: Numbers) -> Numbers:
+            parts = [getattr(table, name) for table in tables]
+            return self.join(parts, fill_certain(name, values, states))
+
+        lengths = self.join([np.diff(table.offsets) for table in tables], np.ones(states, int))
+        return tables[0].map_numbers(
+            join_arrays,
+            join_arrays,
+            offsets=np.concatenate([[0], np.cumsum(lengths)]),
+            next_states=self.list_next_states(),
+        )
+
+    def build_model(self, table: OutcomeTable, **changes: Any) -> Any:
+        """Return the model with the outcomes of all steps."""
+        model, runs, states = self.model, self.runs, np.arange(self.model.n_states)
+        lengths = self.join([np.array([len(run.pairs)]) for run in runs], np.array([len(states)]))
+        owner = self.join([run.model.pair_state[run.pairs] for run in runs], states)
+        actions = [run.model.pair_action[run.pairs] for run in runs]
+        column = Column(name=TIME, size=self.count + 1)
+        parts = {
+            "table": table,
+            "pair_state": owner + self.size * np.repeat(np.arange(self.count + 1), lengths),
+            "pair_action": self.join(actions, model.pair_action[model.pair_offsets[:-1]]),
+            "space": StateSpace(columns=(column, *self.space.columns), extra=self.space.extra),
+            "start": tuple((self.find_first(state), weight) for state, weight in model.start),
+            "time_limit": None,
+            "labels": {},
+            **NO_DATA,
+        }
+        for name in model.labels:
+            parts["labels"][name] = self.join_flags([run.model.labels[name] for run in runs])
+        for name in ("goal", "target"):
+            if getattr(model, name) is not None:
+                parts[name] = self.join_flags([getattr(run.model, name) for run in runs])
+        return replace(model, **parts, **changes)
 
     def list_next_states(self) -> Numbers:
         """Return the next states of all times: one time later, unless the episode is over."""
         # From time t, a state of the product moves to layer t + 1, a finished one stays in its
         # layer, and an extra state keeps its place behind all layers.
-        size, table, states = self.size, self.table, self.model.n_states
-        after, time = table.next.astype(np.int64), np.arange(self.steps)[:, None]
-        going = ~self.over[self.model.pair_state[self.pairs]]
-        later = np.repeat(going, np.diff(table.offsets)).astype(np.int64)
-        shift = np.where(after < size, size * (time + later), size * self.steps)
-        following = np.append((after + shift).ravel(), np.arange(states) + size * self.steps)
-        if size * (self.steps + 1) + states < 2**31:
-            return following.astype(np.int32)
-        return following
+        size, states, begin = self.size, self.model.n_states, 0
+        following = list[Numbers]()
+        for run in self.runs:
+            after, time = run.table.next.astype(np.int64), np.arange(run.steps)[:, None] + begin
+            going = ~run.over[run.model.pair_state[run.pairs]]
+            later = np.repeat(going, np.diff(run.table.offsets)).astype(np.int64)
+            shift = np.where(after < size, size * (time + later), size * self.count)
+            following.append((after + shift).ravel())
+            begin += run.steps
+        every = np.concatenate([*following, np.arange(states) + size * self.count])
+        if size * (self.count + 1) + states < 2**31:
+            return every.astype(np.int32)
+        return every
 
     def require_memory(self) -> None:
         """Raise ModelError if the layers are too large."""
-        table = self.table
+        (run,), steps, table = self.runs, self.count, self.model.table
         kinds = (table.weight.dtype, table.gain.dtype, table.denominator.dtype)
         each = estimate_outcome_bytes(wide=object in kinds)
-        states = self.size * (self.steps + 1)
-        outcomes = len(table.next) * self.steps + states
-        pairs = table.pairs * self.steps + states
+        states = self.size * (steps + 1)
+        outcomes = int(np.diff(table.offsets)[run.pairs].sum()) * steps + states
+        pairs = len(run.pairs) * steps + states
         # Beside the table, an audit was measured to take 20 bytes for each outcome, 250 for each
         # pair and 560 for each state.
         size = (each + 20) * outcomes + 250 * pairs + 560 * states
         if size > MOST_BYTES:
             raise ModelError(
-                f"{self.steps:,} steps of this model make {states:,} states and {outcomes:,} "
+                f"{steps:,} steps of this model make {states:,} states and {outcomes:,} "
                 f"outcomes: {size / 1e9:,.0f} GB of memory, more than {MOST_BYTES / 1e9:g} GB",
                 where="horizon",
                 fix="choose fewer steps; or no horizon, if the process ends by itself or late "
@@ -249,7 +290,7 @@ def flatten_times(model: Any, table: Numbers) -> Numbers:
 def split_by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
     """Return the weights of the pairs of `model.within(N)` by time and pair of `model` (N, L)."""
     # Terminal states have a single pair at each time; it takes all the weight.
-    pairs = TimeLayers(model, steps).pairs
+    pairs = TimeLayers([(model, steps)]).runs[0].pairs
     by_step = np.zeros((steps, model.n_pairs))
     by_step[:, model.pair_offsets[:-1][model.over]] = 1.0
     by_step[:, pairs] = weights[: steps * len(pairs)].reshape(steps, len(pairs))

@@ -31,11 +31,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Origin:
-    """The model that questions were asked about, and the questions in order.
-
-    A question has the parameters of its origin: one row of the origin may be many rows of the model
-    of the question, such as one for each time.
-    """
+    """The model that questions were asked about, and the questions in order."""
 
     model: Any
     questions: tuple[Question, ...]

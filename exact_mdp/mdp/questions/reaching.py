@@ -12,7 +12,7 @@ and its pair come last.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -28,59 +28,46 @@ from exact_mdp.mdp.questions.ending import (
 )
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import make_ones
-from exact_mdp.mdp.validate import Flags
 
 
-@dataclass(frozen=True)
-class Reaching:
-    """Whether a run reaches a labelled state along allowed ones; without `allowed`, all are."""
+def ask_reaching(model: Any, label: str, allowed: str | None) -> Any:
+    """Return the model whose value is the probability that a run reaches a labelled state.
 
-    label: str
-    allowed: str | None = None
-
-    def require_applicable(self, model: Any) -> None:
-        """Raise ModelError if a label is unknown."""
-        find_labelled_states(model, self.label)
-        self._find_forbidden(model)
-
-    def _find_forbidden(self, model: Any) -> Flags:
-        """Return (S,) True for the states that are not allowed."""
-        if self.allowed is None:
-            return np.zeros(model.n_states, dtype=bool)
-        return ~find_labelled_states(model, self.allowed)
-
-    def apply(self, model: Any) -> Any:
-        """Return the model whose value is the probability."""
-        target, outside = find_labelled_states(model, self.label), self._find_forbidden(model)
-        size, pairs, space = model.n_states, model.n_pairs, model.space
-        # Labelled states lead to `reached`, the new state S, at once; forbidden ones stay put.
-        states = np.append(model.pair_state, size)
-        table = redirect_pairs(
-            model.table.with_reward(np.zeros(pairs, np.int64), make_ones(pairs)),
-            np.append((target | outside)[model.pair_state], True),
-            np.where(np.append(target, False)[states], size, states),
-        )
-        # Outcomes that arrive lead to `reached`. It has the greatest number, so they come last in
-        # their row, which stays sorted.
-        arrives = np.append(target, True)[table.next]
-        order = np.argsort(2 * table.pair + arrives, kind="stable")
-        arrives = arrives[order]
-        table = table.map_numbers(
-            lambda _, values: values,
-            lambda _, values: values[order],
-            offsets=table.offsets,
-            next_states=np.where(arrives, table.next.dtype.type(size), table.next[order]),
-        )
-        # An arrival earns 1, but the step from `reached` to itself earns 0.
-        parts = {
-            "table": replace(table, gain=(arrives & (table.pair < pairs)).astype(np.int64)),
-            "pair_state": states,
-            "pair_action": np.append(model.pair_action, model.pair_action[-1]),
-            "space": StateSpace(columns=space.columns, extra=(*space.extra, REACHED)),
-            "discount_exact": Fraction(1),
-            "labels": {name: np.append(flags, False) for name, flags in model.labels.items()},
-            **ONE_COMPONENT,
-            **NO_DATA,
-            **NO_GOAL,
-        }
-        return replace(model, **parts)
+    It passes through allowed states only; without `allowed`, all are. Raises ModelError if a label
+    is unknown.
+    """
+    target, outside = find_labelled_states(model, label), np.zeros(model.n_states, dtype=bool)
+    if allowed is not None:
+        outside = ~find_labelled_states(model, allowed)
+    size, pairs, space = model.n_states, model.n_pairs, model.space
+    # Labelled states lead to `reached`, the new state S, at once; forbidden ones stay put.
+    states = np.append(model.pair_state, size)
+    table = redirect_pairs(
+        model.table.with_reward(np.zeros(pairs, np.int64), make_ones(pairs)),
+        np.append((target | outside)[model.pair_state], True),
+        np.where(np.append(target, False)[states], size, states),
+    )
+    # Outcomes that arrive lead to `reached`. It has the greatest number, so they come last in
+    # their row, which stays sorted.
+    arrives = np.append(target, True)[table.next]
+    order = np.argsort(2 * table.pair + arrives, kind="stable")
+    arrives = arrives[order]
+    table = table.map_numbers(
+        lambda _, values: values,
+        lambda _, values: values[order],
+        offsets=table.offsets,
+        next_states=np.where(arrives, table.next.dtype.type(size), table.next[order]),
+    )
+    # An arrival earns 1, but the step from `reached` to itself earns 0.
+    parts = {
+        "table": replace(table, gain=(arrives & (table.pair < pairs)).astype(np.int64)),
+        "pair_state": states,
+        "pair_action": np.append(model.pair_action, model.pair_action[-1]),
+        "space": StateSpace(columns=space.columns, extra=(*space.extra, REACHED)),
+        "discount_exact": Fraction(1),
+        "labels": {name: np.append(flags, False) for name, flags in model.labels.items()},
+        **ONE_COMPONENT,
+        **NO_DATA,
+        **NO_GOAL,
+    }
+    return replace(model, **parts)

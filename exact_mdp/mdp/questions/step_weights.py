@@ -12,7 +12,7 @@ The way back: states and pairs keep their numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -27,62 +27,54 @@ from exact_mdp.mdp.table import Numbers, OutcomeTable, exact, multiply, to_integ
 RULES = ("half-cycle", "simpson")
 
 
-@dataclass(frozen=True)
-class StepWeights:
-    """How often the reward of each step counts: a rule, or one number for each step."""
+def ask_step_weights(model: Any, weights: object) -> Any:
+    """Return the model whose rewards have these weights: a rule, or one number for each step.
 
-    weights: object
-
-    def require_applicable(self, model: Any) -> None:
-        """Raise ModelError if the model has no time, or earns terminal values."""
-        if model.space.names[:1] != (TIME,):
-            fix = "stop its episodes first: mdp.within(N)"
-            raise ModelError("the steps of this model have no number", where="weights", fix=fix)
-        origin = origin_of(model)
-        if origin is not None and origin.paid:
-            raise ModelError(
-                "a terminal value does not belong to a step",
-                where="weights",
-                fix="leave terminal_value out, and let an additional last step earn it",
-            )
-        self.list_weights(model.space.columns[0].size - 1)
-
-    def list_weights(self, steps: int) -> list[Fraction]:
-        """Return the weight of each step."""
-        if isinstance(self.weights, str):
-            rule = require_known_name(self.weights, RULES, "rule", "weights")
-            if rule == "half-cycle":
-                ends, inner = Fraction(1, 2), [Fraction(1), Fraction(1)]
-            else:
-                ends, inner = Fraction(1, 3), [Fraction(4, 3), Fraction(2, 3)]
-            if steps < 2 or (rule == "simpson" and steps % 2 == 0):
-                need = "an odd number of steps, 3 or more" if rule == "simpson" else "2 steps"
-                raise ModelError(
-                    f"{rule} weights of {steps} steps: the rule needs {need}",
-                    where="weights",
-                    fix='take one step more, "half-cycle", or a list of weights',
-                )
-            return [ends, *(inner[step % 2] for step in range(steps - 2)), ends]
-        given = list(self.weights) if isinstance(self.weights, list | tuple | np.ndarray) else []
-        if len(given) != steps:
-            fix = f"give {steps} numbers, or one of {', '.join(RULES)}"
-            raise ModelError(f"not one weight for each of {steps} steps", where="weights", fix=fix)
-        with locate_errors("weights"):
-            return [exact(weight) for weight in given]
-
-    def apply(self, model: Any) -> Any:
-        """Return the model whose rewards have these weights."""
-        # The last time has no steps, and extra states, whose time is -1, earn nothing.
-        weights = [*self.list_weights(model.space.columns[0].size - 1), Fraction(1), Fraction(1)]
-        time = model.space.values(TIME, model.pair_state)
-        top, below = (
-            to_integer_array([getattr(weight, part) for weight in weights])[time]
-            for part in ("numerator", "denominator")
+    Raises ModelError if the model has no time, or earns terminal values.
+    """
+    if model.space.names[:1] != (TIME,):
+        fix = "stop its episodes first: mdp.within(N)"
+        raise ModelError("the steps of this model have no number", where="weights", fix=fix)
+    origin = origin_of(model)
+    if origin is not None and origin.paid:
+        raise ModelError(
+            "a terminal value does not belong to a step",
+            where="weights",
+            fix="leave terminal_value out, and let an additional last step earn it",
         )
-        table = scale_rewards(model.table, top, below)
-        if table.components is None:
-            return replace(model, table=table)
-        return replace(model, table=table, component_names=model.component_names)
+    # The last time has no steps, and extra states, whose time is -1, earn nothing.
+    each = list_weights(weights, model.space.columns[0].size - 1)
+    each += [Fraction(1), Fraction(1)]
+    time = model.space.values(TIME, model.pair_state)
+    top, below = (
+        to_integer_array([getattr(weight, part) for weight in each])[time]
+        for part in ("numerator", "denominator")
+    )
+    return replace(model, table=scale_rewards(model.table, top, below))
+
+
+def list_weights(weights: object, steps: int) -> list[Fraction]:
+    """Return the weight of each step."""
+    if isinstance(weights, str):
+        rule = require_known_name(weights, RULES, "rule", "weights")
+        if rule == "half-cycle":
+            ends, inner = Fraction(1, 2), [Fraction(1), Fraction(1)]
+        else:
+            ends, inner = Fraction(1, 3), [Fraction(4, 3), Fraction(2, 3)]
+        if steps < 2 or (rule == "simpson" and steps % 2 == 0):
+            need = "an odd number of steps, 3 or more" if rule == "simpson" else "2 steps"
+            raise ModelError(
+                f"{rule} weights of {steps} steps: the rule needs {need}",
+                where="weights",
+                fix='take one step more, "half-cycle", or a list of weights',
+            )
+        return [ends, *(inner[step % 2] for step in range(steps - 2)), ends]
+    given = list(weights) if isinstance(weights, list | tuple | np.ndarray) else []
+    if len(given) != steps:
+        fix = f"give {steps} numbers, or one of {', '.join(RULES)}"
+        raise ModelError(f"not one weight for each of {steps} steps", where="weights", fix=fix)
+    with locate_errors("weights"):
+        return [exact(weight) for weight in given]
 
 
 def scale_rewards(table: OutcomeTable, top: Numbers, below: Numbers) -> OutcomeTable:
