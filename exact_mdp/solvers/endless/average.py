@@ -16,10 +16,11 @@ which every policy ends, with bounds by `bounds`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -99,14 +100,20 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
 def _maximise_average(mdp: MDP, solver: Solver) -> AverageSolution:
     """Return the greatest average reward of a model of maximised rewards."""
     started = perf_counter()
-    method = method_of(solver)
+    methods = [run for kind, run in METHODS.items() if isinstance(solver, kind)]
+    if not methods:
+        raise ModelError(
+            f"{solver.name} does not apply to an average reward",
+            where="solve",
+            fix=f"choose {', '.join(kind.name for kind in METHODS)} or auto",
+        )
     if getattr(solver, "start", None) is not None:
         raise ModelError(
             "an average reward has no use for start=", where="solve", fix="leave start out"
         )
     # The method finds a policy; its own gain and the upper bound give the error in any case.
     step = mdp.undiscounted
-    pairs, relative, iterations = method.run(step)
+    pairs, relative, iterations = methods[0](step, solver)
     gain, bias = FloatChain(step, pairs).evaluate_chain()
     above = _bound_gain_above(step, relative) - gain.value
     # Only value iteration stops at a tolerance; the other methods end with an optimal policy.
@@ -151,89 +158,72 @@ def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
 # ---- methods ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class RelativeValueIteration:
-    """Relative value iteration, h ← h + (T h - h) / 2, until T h - h is proven to be constant.
+def _improve_policies(step: MDP, solver: PolicyIteration) -> Improved:
+    """Return the policy of Howard's policy iteration, its relative values, and iterations."""
+    return AveragePolicyIteration(solver.max_iterations).run(step)
 
-    Half a step makes periodic chains converge, too (White, J. Math. Anal. Appl. 6, 1963; Puterman,
-    1994, section 8.5.4).
+
+def _iterate_relative_values(step: MDP, solver: ValueIteration) -> Improved:
+    """Return the greedy policy, the relative values and the number of iterations.
+
+    Relative value iteration, h ← h + (T h - h) / 2, until T h - h is proven to be constant. Half a
+    step makes periodic chains converge, too (White, J. Math. Anal. Appl. 6, 1963; Puterman, 1994,
+    section 8.5.4).
     """
-
-    tol: float | None
-    max_iterations: int
-
-    def run(self, step: MDP) -> Improved:
-        """Return the greedy policy, the relative values and the number of iterations."""
-        self._require_one_gain(step)
-        first, bias = step.pair_offsets[:-1], np.zeros(step.n_states)
-        width = np.inf
-        for iteration in range(1, self.max_iterations + 1):
-            added = compute_advantages(step, bias)
-            residual = np.maximum.reduceat(added.value, first)
-            # The gain lies between the least and the greatest residual, rounding counted.
-            low = float(np.maximum.reduceat(added.value - added.error, first).min())
-            high = float(np.maximum.reduceat(added.value + added.error, first).max())
-            width, middle = high - low, (high + low) / 2
-            limit = self.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
-            if width <= limit or width <= 4 * float(added.error.max()):
-                return choose_greedy_pairs(step, added), bias, iteration
-            # Half a step, and h = 0 in the first state: only differences matter.
-            bias += (residual - middle) / 2
-            bias -= bias[0]
-        detail = f"{width:.2g} is the error bound after {self.max_iterations} iterations"
-        raise SolverError(Status.ITERATION_LIMIT, detail)
-
-    @staticmethod
-    def _require_one_gain(step: MDP) -> None:
-        """Raise ModelError unless all states are certain to have the same optimal gain."""
-        label, _ = PairGraph.of(step).end_components(np.ones(step.n_pairs, dtype=bool))
-        count = int(label.max()) + 1
-        if count > 1:
-            raise ModelError(
-                "relative value iteration needs one gain for all states: there are "
-                f"{count} sets of states that a policy need not leave",
-                where="solve",
-                fix="use policy-iteration, which takes every model",
-            )
+    _require_one_gain(step)
+    first, bias = step.pair_offsets[:-1], np.zeros(step.n_states)
+    width = np.inf
+    for iteration in range(1, solver.max_iterations + 1):
+        added = compute_advantages(step, bias)
+        residual = np.maximum.reduceat(added.value, first)
+        # The gain lies between the least and the greatest residual, rounding counted.
+        low = float(np.maximum.reduceat(added.value - added.error, first).min())
+        high = float(np.maximum.reduceat(added.value + added.error, first).max())
+        width, middle = high - low, (high + low) / 2
+        limit = solver.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
+        if width <= limit or width <= 4 * float(added.error.max()):
+            return choose_greedy_pairs(step, added), bias, iteration
+        # Half a step, and h = 0 in the first state: only differences matter.
+        bias += (residual - middle) / 2
+        bias -= bias[0]
+    detail = f"{width:.2g} is the error bound after {solver.max_iterations} iterations"
+    raise SolverError(Status.ITERATION_LIMIT, detail)
 
 
-@dataclass(frozen=True)
-class AverageLinearProgram:
-    """The linear program of gains and biases; policy iteration improves its greedy policy."""
-
-    optimiser: str
-
-    def run(self, step: MDP) -> Improved:
-        """Return the policy, its relative values, and the steps of both methods."""
-        scale, own = float(np.abs(step.reward).max()) or 1.0, own_states(step)
-        # Minimise Σ g subject to (I - P) g ≥ 0 and g + (I - P) h ≥ r.
-        stays = own - step.transition
-        matrix = sp.block_array([[stays, None], [own, stays]])
-        least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
-        least[1], cost[0] = step.reward / scale, 1.0
-        solved, steps = least_above(cost.ravel(), matrix, least.ravel(), self.optimiser)
-        bias = scale * solved[step.n_states :]
-        # The program leaves biases open in transient states: policy iteration has the last word.
-        first = choose_greedy_pairs(step, compute_advantages(step, bias))
-        pairs, bias, iterations = AveragePolicyIteration().run(step, first)
-        return pairs, bias, steps + iterations
+def _require_one_gain(step: MDP) -> None:
+    """Raise ModelError unless all states are certain to have the same optimal gain."""
+    label, _ = PairGraph.of(step).end_components(np.ones(step.n_pairs, dtype=bool))
+    count = int(label.max()) + 1
+    if count > 1:
+        raise ModelError(
+            "relative value iteration needs one gain for all states: there are "
+            f"{count} sets of states that a policy need not leave",
+            where="solve",
+            fix="use policy-iteration, which takes every model",
+        )
 
 
-def method_of(
-    solver: Solver,
-) -> AveragePolicyIteration | RelativeValueIteration | AverageLinearProgram:
-    """Return the method for average rewards with the settings of a solver for total rewards."""
-    if isinstance(solver, PolicyIteration):
-        return AveragePolicyIteration(solver.max_iterations)
-    if isinstance(solver, ValueIteration):
-        return RelativeValueIteration(solver.tol, solver.max_iterations)
-    if isinstance(solver, LinearProgram):
-        return AverageLinearProgram(solver.solver)
-    raise ModelError(
-        f"{solver.name} does not apply to an average reward",
-        where="solve",
-        fix=f"choose {', '.join(METHODS)} or auto",
-    )
+def _solve_linear_program(step: MDP, solver: LinearProgram) -> Improved:
+    """Return the policy, its relative values, and the steps of program and policy iteration.
+
+    Policy iteration improves the greedy policy of the linear program of gains and biases.
+    """
+    scale, own = float(np.abs(step.reward).max()) or 1.0, own_states(step)
+    # Minimise Σ g subject to (I - P) g ≥ 0 and g + (I - P) h ≥ r.
+    stays = own - step.transition
+    matrix = sp.block_array([[stays, None], [own, stays]])
+    least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
+    least[1], cost[0] = step.reward / scale, 1.0
+    solved, steps = least_above(cost.ravel(), matrix, least.ravel(), solver.solver)
+    bias = scale * solved[step.n_states :]
+    # The program leaves biases open in transient states: policy iteration has the last word.
+    first = choose_greedy_pairs(step, compute_advantages(step, bias))
+    pairs, bias, iterations = AveragePolicyIteration().run(step, first)
+    return pairs, bias, steps + iterations
 
 
-METHODS = (PolicyIteration.name, ValueIteration.name, LinearProgram.name)
+METHODS: dict[type[Solver], Callable[[MDP, Any], Improved]] = {
+    PolicyIteration: _improve_policies,
+    ValueIteration: _iterate_relative_values,
+    LinearProgram: _solve_linear_program,
+}
