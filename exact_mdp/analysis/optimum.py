@@ -9,7 +9,6 @@ that status that have a choice and are reached by some policy.
 from __future__ import annotations
 
 import io
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.advice import other_question, ways_out
-from exact_mdp.mdp.errors import require_known_name
+from exact_mdp.mdp.errors import require_known_name, warn_user
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
@@ -205,7 +204,7 @@ def compute_optimum(
     except SolverError as error:
         if not certify:
             raise
-        warnings.warn(f"{error} (the exact values stand)", PrecisionWarning, stacklevel=2)
+        warn_user(f"{error} (the exact values stand)", PrecisionWarning)
     # The exact optimum, with a proof that its checker has accepted.
     if certify:
         exact = certify_and_check(model, criterion)

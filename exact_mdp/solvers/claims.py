@@ -12,7 +12,6 @@ b ≤ c, does not hold if a > d, and is open otherwise, which raises an error.
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -25,7 +24,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, warn_user
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Floats, exact
 
@@ -92,12 +91,9 @@ class PrecisionWarning(UserWarning):
     """The tolerance is beyond double precision; the error bound says how near the result came."""
 
 
-def warn_of_precision(
-    error: float, *, status: Status = Status.PRECISION, stacklevel: int = 2
-) -> None:
-    """Issue a PrecisionWarning; `stacklevel` is 2 for the line that called the caller."""
-    message = f"the error bound is {error:.2g}: {status}"
-    warnings.warn(message, PrecisionWarning, stacklevel=stacklevel + 1)
+def warn_of_precision(error: float, *, status: Status = Status.PRECISION) -> None:
+    """Issue a PrecisionWarning."""
+    warn_user(f"the error bound is {error:.2g}: {status}", PrecisionWarning)
 
 
 class SolverError(RuntimeError):

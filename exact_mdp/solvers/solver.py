@@ -143,7 +143,7 @@ def solve(
             return solve_under(mdp, subject_to)
         solution = _find_best_total(mdp, solver, tol, start)
     if solution.status is Status.PRECISION:
-        warn_of_precision(solution.error_bound, stacklevel=3)  # `named_options` is in between
+        warn_of_precision(solution.error_bound)
     return solution
 
 

@@ -152,7 +152,7 @@ def explore(
         raise ModelError(f"{n} values", where="explorer", fix="choose from 2 to 101")
     # The ranges; each has to leave room to move.
     family = parametric(model)
-    spans = ranges_of(family, names, ranges, relative, stacklevel=3)
+    spans = ranges_of(family, names, ranges, relative)
     for name, span in spans.items():
         if span.low == span.high:
             raise ModelError(f"{name} has no range", where="explorer", fix="state a range")

@@ -18,7 +18,6 @@ neighbours.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -33,7 +32,7 @@ from exact_mdp.analysis.vary.information import estimate_evpi, estimate_evppi
 from exact_mdp.analysis.vary.psa import groups_of, sample_parameters
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, require_known_name, require_type
+from exact_mdp.mdp.errors import ModelError, require_known_name, require_type, warn_user
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -502,10 +501,9 @@ def _warn_of_rate(discount: Fraction, where: str) -> None:
     """Warn of a discount that looks like a rate: 0.03 where 1/1.03 is meant."""
     if 0 < discount < Fraction(1, 2):
         factor = (1 / (1 + discount)).limit_denominator(10**6)
-        warnings.warn(
+        warn_user(
             f"the {where} is {float(discount):g}, a factor from one step to the next; if a rate is "
-            f"meant, give {factor}, which is 1/(1 + rate)",
-            stacklevel=3,
+            f"meant, give {factor}, which is 1/(1 + rate)"
         )
 
 

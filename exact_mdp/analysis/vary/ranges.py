@@ -5,7 +5,6 @@ A range file is TOML: `"base.anger" = [0.02, 0.10]`, or tables that spell the do
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, locate_errors, require_list, require_type
+from exact_mdp.mdp.errors import ModelError, locate_errors, require_list, require_type, warn_user
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
@@ -184,14 +183,11 @@ def ranges_of(
     names: Iterable[str] | None = None,
     ranges: Stated | None = None,
     relative: object | None = None,
-    *,
-    stacklevel: int = 4,
 ) -> Ranges:
     """Return the range of each parameter: the stated one, or one around today's value.
 
     By default `names` are all parameters with a stated range or, if there are none, all parameters;
-    `relative` is 1/5. A warning is issued at `stacklevel`, as in `warnings.warn`: 4 is the line
-    that called an analysis with `named_options` that called this function.
+    `relative` is 1/5.
     """
     stated = read_ranges(model, ranges)
     if names is None:
@@ -210,11 +206,10 @@ def ranges_of(
         # A number below 1 that is varied beyond 1 may be a utility: ask for its limits.
         plain = parameter.unit is None and parameter.low is None and parameter.high is None
         if relative is None and plain and 0 < parameter.value < 1 < spans[name].high:
-            warnings.warn(
+            warn_user(
                 f"{name}, {format_rational(parameter.value)} today, is varied up to "
                 f"{format_rational(spans[name].high)}; if it is a utility or a probability, state "
-                f'Parameter(name="{name}", value=…, low=0, high=1), else its range',
-                stacklevel=stacklevel,
+                f'Parameter(name="{name}", value=…, low=0, high=1), else its range'
             )
     return spans
 
@@ -223,7 +218,7 @@ def range_of(model: Parametric, name: str, ranges: object = None, relative: obje
     """Return the range of one parameter; `ranges` may be its (low, high) alone."""
     if not isinstance(ranges, Mapping | str | Path | None):
         ranges = {name: ranges}
-    span = ranges_of(model, [name], ranges, relative, stacklevel=5)[name]
+    span = ranges_of(model, [name], ranges, relative)[name]
     if span.low == span.high:
         why = "no other value has a model with finite values"
         if span.low == 0:
@@ -259,17 +254,14 @@ def spans_of(
     names: Iterable[str] | None = None,
     ranges: Stated | None = None,
     relative: object | None = None,
-    *,
-    stacklevel: int = 4,
 ) -> dict[Parameter, Range]:
     """Return the parameters to vary together, with their ranges.
 
     Unless ranges are stated, the discount is left out, and so are parameters that are 0 today.
-    `stacklevel` is as in `ranges_of`.
     """
     stated = read_ranges(model, ranges)
     names = names or list(stated) or list_usual_parameters(model)
-    every = ranges_of(model, names, stated, relative, stacklevel=stacklevel + 1)
+    every = ranges_of(model, names, stated, relative)
     spans = {parameter_of(model, n): span for n, span in every.items() if span.low < span.high}
     if not spans:
         raise ModelError("no parameter has a range", where=place_of(model), fix="state a range")

@@ -334,7 +334,7 @@ def worst_point(
     ('3/50', True)
     """
     family = parametric(model)
-    spans = spans_of(family, None, ranges, relative, stacklevel=3)
+    spans = spans_of(family, None, ranges, relative)
     names = [parameter.name for parameter in spans]
     if isinstance(family, ScenarioFamily) and not family.asks:
         highest = {parameter.name: span.high for parameter, span in spans.items()}

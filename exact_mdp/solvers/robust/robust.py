@@ -162,7 +162,7 @@ def solve_robust(
         share = game.choose_pairs(np.zeros(len(game.pairs)))
     transition, earned = game.build_chain(distributions, share)
     if found.status is Status.PRECISION:
-        warn_of_precision(float(found.error.max()), status=found.status.with_sets, stacklevel=3)
+        warn_of_precision(float(found.error.max()), status=found.status.with_sets)
     return RobustSolution(
         mdp=model,
         nature=nature,
