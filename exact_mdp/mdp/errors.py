@@ -280,7 +280,11 @@ def check_names(
 def warn_user(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn about the line of the user that called this package."""
     frame, count = currentframe(), 0
-    while frame is not None and frame.f_globals.get("__name__", "").startswith("exact_mdp"):
+    # A context that decorates a function has a frame of its own.
+    while frame and frame.f_globals.get("__name__", "").split(".")[0] in (
+        "exact_mdp",
+        "contextlib",
+    ):
         frame, count = frame.f_back, count + 1
     warnings.warn(message, category, stacklevel=count + 1)
 

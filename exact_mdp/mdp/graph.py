@@ -117,11 +117,20 @@ def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
     starts, ends = graph.tocoo().coords
     here, there = label[starts], label[ends]
     apart = here != there
-    # A component is ranked when all of its successors are: one more than the last of them.
-    owner, every = here[apart], np.ones(np.count_nonzero(apart), dtype=bool)
-    needed = np.bincount(owner, minlength=count)
-    backward = Backward.of(np.arange(len(owner) + 1), there[apart], owner, count)
-    return label, backward.rank_states(needed == 0, every, needed)[0][label]
+    edges = sp.csr_array((np.ones(apart.sum()), (here[apart], there[apart])), (count, count))
+    return label, _rank_nodes(edges, np.diff(edges.indptr) == 0)[label]
+
+
+def _rank_nodes(edges: sp.csr_array, ended: Mask) -> Integers:
+    """Return the rank (K,) of each node: one more than the last of its successors'; -1 in cycles.
+
+    The `ended` nodes have rank 0. Equal edges of the graph (K, K) are merged.
+    """
+    edges.sum_duplicates()
+    needed = np.diff(edges.indptr)
+    owner = np.repeat(np.arange(len(ended)), needed)
+    backward = Backward.of(np.arange(edges.nnz + 1), edges.indices, owner, len(ended))
+    return backward.rank_states(ended, ~ended[owner], needed)[0]
 
 
 def find_reachable_nodes(graph: sp.csr_array, first: Mask) -> Mask:
@@ -148,10 +157,9 @@ def rank_acyclic_states(offsets: Numbers, following: Numbers, ended: Mask) -> In
     if not last.any() and not ended.all():
         return None
     # Rank states backward, each when all of its successors are ranked.
-    size, steps = len(ended), np.diff(offsets)
-    owner = np.repeat(np.arange(size), steps)
-    backward = Backward.of(np.arange(len(following) + 1), following, owner, size)
-    level, _ = backward.rank_states(ended, ~ended[owner], steps)
+    size = len(ended)
+    edges = sp.csr_array((np.ones(len(following), np.int8), following, offsets), (size, size))
+    level = _rank_nodes(edges.copy(), ended)
     if (level < 0).any():
         return None
     return level

@@ -219,8 +219,9 @@ def test_rows_that_are_not_reached_are_named(tmp_path: Path) -> None:
     (tmp_path / "q.json").write_text(json.dumps(table.tolist()), "utf-8")
     forms: list[Any] = [table, dict(enumerate(table)), tmp_path / "q.csv", tmp_path / "q.json"]
     for form in forms:
-        with pytest.warns(UserWarning, match="3 of 6 rows are not read: .*: 1, 3, 4$"):
+        with pytest.warns(UserWarning, match="3 of 6 rows are not read: .*: 1, 3, 4$") as told:
             policy = Policy.of(model, form)
+        assert told[0].filename == __file__
         labels = map(model.space.label, range(3))
         chosen = dict(zip(labels, policy.choices(model).tolist(), strict=True))
         assert chosen | {"state 0": 0} == {"state 5": 1, "state 2": 0, "state 0": 0}

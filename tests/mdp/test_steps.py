@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_models import small_model
 
-from exact_mdp import MDP, ModelError, certify, cost_effectiveness, evaluate
+from exact_mdp import MDP, ModelError, Scenario, certify, cost_effectiveness, evaluate
 
 
 def change_rewards(mdp: MDP, seed: int) -> MDP:
@@ -72,6 +72,15 @@ def test_components_are_kept() -> None:
     assert found.effect.tolist() == [[1.25]]
     assert found.cost.tolist() == [[2.625]]
     assert evaluate(both, np.zeros((2, 2), int)).start_value == 1 + 0.25
+
+
+def test_events_are_kept() -> None:
+    first = Scenario.load("yuan2025").with_(tasks=[1])
+    years = [first.compile(), first.with_(parameters={"base.anger": "1/10"}).compile()]
+    both, counts = MDP.from_steps(years), [year.table.event.sum() for year in years]
+    assert both.events == years[0].events
+    assert both.table.event.sum() == sum(counts)
+    assert counts[0] > 0
 
 
 MODEL = small_model(0)

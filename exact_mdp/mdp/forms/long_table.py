@@ -152,27 +152,25 @@ def _read_columns(frame: Any) -> tuple[dict[str, list[Any]], list[str], str]:
     """Return the columns of a table, the place of each row, and the place of all; for messages."""
     import pandas
 
+    where, word = "frame", "row"
     if isinstance(frame, str | Path):
         # Texts, so that the decimals of a file are exact.
-        where = str(frame)
+        where, word = str(frame), "line"
         rows = csv_of(read_text(frame).splitlines(), where)
         _, heads = next(rows, (0, []))
-        lines = [*rows]
-        values = [[row[k].strip() for _, row in lines] for k in range(len(heads))]
-        places = [f"{where}, line {line}" for line, _ in lines]
-    else:
-        where = "frame"
-        if isinstance(frame, Mapping):
-            try:
-                frame = pandas.DataFrame(frame, dtype=object)
-            except ValueError as error:
-                fix = "give lists of the same length"
-                raise ModelError(f"no table: {error}", where=where, fix=fix) from error
-        fix = "give a DataFrame, {column: values}, or the path of a .csv file"
-        require_type(frame, pandas.DataFrame, where, fix)
-        heads = [*map(str, frame.columns)]
-        values = [frame.iloc[:, k].tolist() for k in range(len(heads))]
-        places = [f"frame, row {row}" for row in frame.index]
+        lines = {line: [cell.strip() for cell in row] for line, row in rows}
+        frame = pandas.DataFrame([*lines.values()], [*lines], heads, dtype=object)
+    elif isinstance(frame, Mapping):
+        try:
+            frame = pandas.DataFrame(frame, dtype=object)
+        except ValueError as error:
+            fix = "give lists of the same length"
+            raise ModelError(f"no table: {error}", where=where, fix=fix) from error
+    fix = "give a DataFrame, {column: values}, or the path of a .csv file"
+    require_type(frame, pandas.DataFrame, where, fix)
+    heads = [*map(str, frame.columns)]
+    values = [frame.iloc[:, k].tolist() for k in range(len(heads))]
+    places = [f"{where}, {word} {number}" for number in frame.index]
     require_column_names(heads, where)
     return dict(zip(heads, values, strict=True)), places, where
 

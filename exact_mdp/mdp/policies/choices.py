@@ -40,6 +40,7 @@ from exact_mdp.mdp.policies.arrays import (
     warn_unread,
 )
 from exact_mdp.mdp.policies.tables import (
+    Line,
     find_part,
     is_number_text,
     parse_digits,
@@ -502,15 +503,16 @@ def read_policy_json(model: MDP, path: str | Path, *, kind: str) -> Parts:
 def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
     """Return the policy in a text file: a table of numbers, or a list of actions with a header."""
     text = read_text(path)
-    _, first = next(csv_of(io.StringIO(text)), (0, []))
+    rows = csv_of(io.StringIO(text))
+    _, first = next(rows, (0, []))
     heads = [*map(usual_name, first)]
     for value in {*heads} & {*VALUES}:
         if sorted(heads) == sorted((STATE, ACTION, value)):
             places = [*map(heads.index, (STATE, ACTION, value))]
-            return _read_long_q_table(model, text, places, kind)
-    header = {*map(str.strip, first)}
-    if "action" in header or header <= {"state", *model.space.names}:
-        return _read_listed_actions(model, text)
+            return _read_long_q_table(model, rows, places, kind)
+    header = [*map(str.strip, first)]
+    if "action" in header or {*header} <= {"state", *model.space.names}:
+        return _read_listed_actions(model, header, rows)
     lines, comment = read_lines(text, spaces=Path(path).suffix.lower() == ".txt")
     table = read_table(model, lines, comment)
     if isinstance(table, dict):
@@ -518,10 +520,8 @@ def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
     return of_given_array(model, numbers_of(table), kind)
 
 
-def _read_long_q_table(model: MDP, text: str, places: Sequence[int], kind: str) -> Parts:
+def _read_long_q_table(model: MDP, rows: Iterable[Line], places: Sequence[int], kind: str) -> Parts:
     """Return the policy of a Q-table with a line for each state and action, and its value."""
-    rows = csv_of(io.StringIO(text))
-    next(rows)
     values: dict[Any, list[tuple[str, Any]]] = {}
     for number, row in rows:
         state, action, value = (row[place].strip() for place in places)
@@ -532,11 +532,8 @@ def _read_long_q_table(model: MDP, text: str, places: Sequence[int], kind: str) 
     return of_mapping(model, {state: once_each(row) for state, row in values.items()}, kind)
 
 
-def _read_listed_actions(model: MDP, text: str) -> Parts:
-    """Return the policy in a CSV text: state columns, action and, optionally, probability."""
-    rows = csv_of(io.StringIO(text))
-    _, given = next(rows, (0, []))
-    header = [name.strip() for name in given]
+def _read_listed_actions(model: MDP, header: list[str], rows: Iterable[Line]) -> Parts:
+    """Return the policy in rows of a CSV text: state columns, action, perhaps probability."""
     columns = [name for name in header if name not in ("action", "probability")]
     by_state = columns == ["state"] and "state" not in model.space.names
     # The header has columns of the state, or one column `state`; and the action.

@@ -250,8 +250,9 @@ def test_records_with_resets_are_audited_as_the_model_of_them() -> None:
 
 
 def test_python_warns_of_columns_that_are_not_used() -> None:
-    with pytest.warns(UserWarning, match="not used: 'timeout', 'step'"):
+    with pytest.warns(UserWarning, match="not used: 'timeout', 'step'") as told:
         MDP.from_transitions(table([GOOD]).assign(timeout=True, step=1))
+    assert told[0].filename == __file__
 
 
 HEAD, ONE = "episode,state,action,reward,next_state\n", table([GOOD])
