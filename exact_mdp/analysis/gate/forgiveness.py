@@ -97,7 +97,8 @@ def compute_rounding_allowance(
         return Fraction(0)
     # v - u and its error (L,); x and its error (N,): the optimum is added, the policy subtracted.
     apart, unsure = np.zeros((2, mdp.n_pairs))
-    x, off = np.zeros((2, len(mdp.table.next)))
+    pair = mdp.table.pair
+    x, off = np.zeros((2, len(pair)))
     with np.errstate(over="ignore", invalid="ignore"):
         for sign, (chain, known) in ((-1, own), (1, best)):
             if mdp.discount_exact == 1 and not chain.ends_from_start:
@@ -112,7 +113,7 @@ def compute_rounding_allowance(
             loose += 4 * UNIT * np.abs(uses)
             # Their products with r + γ V, which enter x.
             value, error = _compute_outcome_values(mdp, known)
-            each, more = uses[mdp.table.pair], loose[mdp.table.pair]
+            each, more = uses[pair], loose[pair]
             x += sign * each * value
             off += (more * np.abs(value) + (np.abs(each) + more) * error) + 3 * UNIT * np.abs(x)
             apart, unsure = apart + sign * uses, unsure + loose
