@@ -38,6 +38,8 @@ from exact_mdp.mdp.table import (
     whole_fraction,
 )
 
+FEW_ROWS = 10  # these are converted one by one in the time that arrays take to make: measured
+
 
 def array_of(values: object, where: str) -> Any:
     """Return a sparse matrix as a CSR array, and other values as an array of numbers or objects."""
@@ -396,12 +398,12 @@ def rationalize_rows(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbe
     rows = [flat[first:last] for first, last in pairwise(offsets.tolist())]
     if all(_in_floats(row) for row in rows):
         return np.array([float(value) for value in flat]), make_ones(len(rows))
-    # Rows of floats are converted all at once, which takes a tenth of the time.
+    # Many rows of floats are converted all at once, which takes a tenth of the time.
     top, below = np.empty(len(flat), dtype=object), np.empty(len(rows), dtype=object)
     in_floats = np.array([all(isinstance(value, float) for value in row) for row in rows])
     inside, lengths = np.repeat(in_floats, np.diff(offsets)), np.diff(offsets)[in_floats]
     weight, ends = values[inside].astype(np.float64), np.append(0, np.cumsum(lengths))
-    if normalize_rows(weight, ends):
+    if len(lengths) > FEW_ROWS and normalize_rows(weight, ends):
         top[inside], below[in_floats] = rows_to_integers(weight, ends)
     else:
         in_floats[:] = False

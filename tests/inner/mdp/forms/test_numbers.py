@@ -45,7 +45,7 @@ ROWS = [
 ]
 
 
-@given(st.lists(st.sampled_from(ROWS), min_size=1, max_size=6))
+@given(st.lists(st.sampled_from(ROWS), min_size=1, max_size=6).map(lambda rows: rows * 4))
 def test_rows_of_floats_beside_exact_rows_stand_for_the_same(rows: list[list[F | float]]) -> None:
     values = np.empty(sum(map(len, rows)), dtype=object)
     values[:] = [number for row in rows for number in row]
