@@ -38,7 +38,7 @@ from exact_mdp.mdp.table import (
     whole_fraction,
 )
 
-FEW_ROWS = 10  # these are converted one by one in the time that arrays take to make: measured
+FEW_ROWS = 10  # converted one by one in the time that arrays take to make: measured
 
 
 def array_of(values: object, where: str) -> Any:
@@ -398,23 +398,41 @@ def rationalize_rows(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbe
     rows = [flat[first:last] for first, last in pairwise(offsets.tolist())]
     if all(_in_floats(row) for row in rows):
         return np.array([float(value) for value in flat]), make_ones(len(rows))
-    # Many rows of floats are converted all at once, which takes a tenth of the time.
-    top, below = np.empty(len(flat), dtype=object), np.empty(len(rows), dtype=object)
-    in_floats = np.array([all(isinstance(value, float) for value in row) for row in rows])
-    inside, lengths = np.repeat(in_floats, np.diff(offsets)), np.diff(offsets)[in_floats]
-    weight, ends = values[inside].astype(np.float64), np.append(0, np.cumsum(lengths))
-    if len(lengths) > FEW_ROWS and normalize_rows(weight, ends):
-        top[inside], below[in_floats] = rows_to_integers(weight, ends)
-    else:
-        in_floats[:] = False
-    # Rows with exact numbers, or with an error, are converted one by one.
-    for number in np.flatnonzero(~in_floats).tolist():
-        row = rationalize_row(rows[number])
-        if any(isinstance(value, float) and not isfinite(value) for value in row):
-            return group_numbers(flat, offsets)
-        own = slice(offsets[number], offsets[number + 1])
-        top[own], below[number] = to_common_denominator([exact(value) for value in row])
-    return to_integer_array(top), to_integer_array(below)
+    tops, bottoms, known = list[int](), list[int](), _float_rows_to_integers(rows)
+    for number, row in enumerate(rows):
+        if number not in known:
+            exactly = rationalize_row(row)
+            if any(isinstance(value, float) and not isfinite(value) for value in exactly):
+                return group_numbers(flat, offsets)
+            known[number] = to_common_denominator([exact(value) for value in exactly])
+        top, below = known[number]
+        tops += top
+        bottoms.append(below)
+    return to_integer_array(tops), to_integer_array(bottoms)
+
+
+def _float_rows_to_integers(
+    rows: list[list[Fraction | float]],
+) -> dict[int, tuple[list[int], int]]:
+    """Return the exact rows of floats, {number: (numerators, denominator)}, all at once.
+
+    This takes a tenth of the time of `rationalize_row`. For few rows, and for rows that are not
+    distributions, return {}.
+    """
+    places = []
+    for number, row in enumerate(rows):
+        if all(isinstance(value, float) for value in row):
+            places.append(number)
+    if len(places) <= FEW_ROWS:
+        return {}
+    weight = np.array([value for number in places for value in rows[number]], dtype=np.float64)
+    offsets = np.cumsum([0, *(len(rows[number]) for number in places)])
+    if not normalize_rows(weight, offsets):
+        return {}
+    tops, bottoms = (array.tolist() for array in rows_to_integers(weight, offsets))
+    ends = pairwise(offsets.tolist())
+    each = [(tops[first:last], below) for (first, last), below in zip(ends, bottoms, strict=True)]
+    return dict(zip(places, each, strict=True))
 
 
 def _in_floats(row: list[Fraction | float]) -> bool:
