@@ -204,7 +204,7 @@ def _to_array(values: Any) -> Any:
     if isinstance(values, np.ndarray) and values.dtype == object:
         kinds = set(map(type, values.flat))
         if kinds <= {Fraction, float}:
-            return values  # this is the form of exact numbers already
+            return np.array(values)  # this is the form of exact numbers already
         if any(issubclass(kind, np.ndarray) for kind in kinds):
             values = values.tolist()  # an array of matrices is a list of them
     # NumPy reads numbers of one type. Integers beside floats become floats.

@@ -67,7 +67,7 @@ def test_units_follow_from_what_a_parameter_may_be() -> None:
 @pytest.mark.parametrize("value", [F(1, 2), F(-3), F(0), F(7)])
 @pytest.mark.parametrize("share", ["1/5", "1/2", 2, 0.25])
 def test_a_share_of_the_value_to_both_sides(value: Fraction, share: object) -> None:
-    reach = abs(value) * F(share)  # type: ignore[call-overload]
+    reach = abs(value) * F(share)
     low, high = value - reach, value + reach
     assert ends(make_range_around(parameter(value), share)) == (low, high)
     bounded = parameter(value, value - 1, value + 2)
@@ -351,5 +351,5 @@ def test_points_are_checked_by_column_and_draw() -> None:
         ({1: [0.5]}, "1 is of type int", "points"),
     ):
         with pytest.raises(ModelError) as caught:
-            read_points(family, table)  # type: ignore[arg-type]
+            read_points(family, table)
         assert (caught.value.what, caught.value.where) == (what, where)

@@ -269,7 +269,7 @@ def test_names_and_shares_choose_what_varies_and_samples_are_powers_of_2() -> No
         assert error.value.fix == f"ask for {near}"
     for wrong in (1, 0, 2.5):
         with pytest.raises(ModelError, match="n"):
-            sobol(MODEL, ranges=RANGES, n=wrong)  # type: ignore[arg-type]
+            sobol(MODEL, ranges=RANGES, n=wrong)
     with pytest.raises(ModelError, match="fewer samples"):
         sobol(MODEL, ranges=RANGES, n=2**40)
 
